@@ -225,6 +225,30 @@ fn a_check_of_forty_weeks_is_an_alarm() {
     {
         assert!(checked.stdout.contains(told), "{told}: {}", checked.stdout);
     }
+    // With the temperatures the season is none; the volumetric error is a limit like any other, and the future may be a walk.
+    let temperature = root().join("pipelines/data/history/realistic/temperature.csv").to_string_lossy().into_owned();
+    let follows = ["--from", &temperature, "--follows", "EYY[1]=T01@20"];
+    let limits = ["--volumetric", "3", "--limit", "volumetric largest=150um", "--forecast", "random-walk"];
+    let checked = asked(&[&check[..], &follows, &limits].concat());
+    assert_eq!((checked.status, checked.stderr.as_str()), (3, ""), "{}", checked.stdout);
+    for told in [
+        "EYY[1] follows T01 by +2.66",
+        "for 4 weeks",
+        "volumetric largest keeps 150 µm with a risk of 5 % for 15 weeks",
+    ] {
+        assert!(checked.stdout.contains(told), "{told}: {}", checked.stdout);
+    }
+    assert!(!checked.stdout.contains("jump in week 30"), "{}", checked.stdout);
+    for (wrong, told) in [
+        (["--from", &temperature, "--follows", "EYY[1]"], "EYY[1]=T01@20"),
+        (["--from", &temperature, "--follows", "EYY[1]=T99@20"], "T99"),
+        (["--from", &temperature, "--follows", "nothing=T01@20"], "nothing"),
+        (["--from", &at("absent.csv"), "--follows", "EYY[1]=T01@20"], "absent.csv"),
+        (["--volumetric", "0", "--limit", "EXX[b]=1um"], "at least one point"),
+    ] {
+        let refused = asked(&[&check[..], &wrong].concat());
+        assert!([1, 2].contains(&refused.status) && refused.stderr.contains(told), "{wrong:?}: {}", refused.stderr);
+    }
     let copy = at("copy");
     assert_eq!(asked(&["history", "export", &plant, "1", "--out", &copy]).status, 0);
     let name = "weekly.week-14.calibration.json";
