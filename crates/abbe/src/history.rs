@@ -15,7 +15,9 @@ use abbe_recipe::HistoryPlace;
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 
-pub use check::{Check, Question, estimate_of};
+pub use check::Check;
+#[cfg(feature = "serve")]
+pub use check::{Question, estimate_of};
 pub use place::read;
 use place::{add_all, named};
 

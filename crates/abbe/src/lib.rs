@@ -30,6 +30,7 @@ mod picture;
 mod planning;
 mod progress;
 mod report;
+#[cfg(feature = "serve")]
 mod serve;
 mod simulated;
 mod summary;
@@ -179,6 +180,7 @@ enum Command {
     #[command(subcommand)]
     History(history::Asked),
     /// Show a history to browsers on this computer; nothing can be changed there.
+    #[cfg(feature = "serve")]
     Serve(serve::Serve),
     /// Commands for vendors of plugin libraries.
     Plugin {
@@ -441,6 +443,7 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             interrupt::cancel_on_signal(Monitor::default())?;
             written(asked.run(&libraries.registry(None)?)?)
         }
+        #[cfg(feature = "serve")]
         Command::Serve(asked) => asked.run(libraries.registry(None)?),
         Command::History(asked) => {
             interrupt::cancel_on_signal(Monitor::default())?;

@@ -73,6 +73,7 @@ pub enum ForecastAsked {
 }
 
 /// What the tests of a machine tell.
+#[cfg_attr(not(feature = "serve"), allow(dead_code))]
 pub struct Checked {
     /// The machine.
     pub machine: String,
