@@ -68,6 +68,13 @@ impl Served {
         self.raw(format!("{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n").as_bytes())
     }
 
+    /// The page at a path, which has to be there.
+    pub fn page(&self, path: &str) -> String {
+        let response = self.get(path);
+        assert_eq!(response.status, 200, "{path}: {}", response.head);
+        response.body
+    }
+
     fn get(&self, path: &str) -> Response {
         self.request("GET", path, "")
     }

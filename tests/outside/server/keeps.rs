@@ -4,6 +4,7 @@ use abbe_history::{History, SCHEMA_VERSION};
 
 use super::running::{PASSWORD, Running};
 use crate::history::kept::{Plant, comes_back, kept_by_a_recipe, killed_writers, results};
+use crate::history::serve::Served;
 use crate::history::stored::{Site, comes_back_once, entry, readers_change_nothing, two_writers};
 use crate::support::{Small, write};
 
@@ -102,6 +103,11 @@ fn commands_keep_results_on_a_server() {
     comes_back(&plant(&server));
     let other = Plant { place: server.by_network("other"), ..plant(&server) };
     kept_by_a_recipe(&other);
+    // Its pages are those of a file.
+    let small = Small::new();
+    let served = Served::start(&small.path(""), &server.by_socket("plant"));
+    assert!(served.page("/").contains("href=\"/entry/2\"") && served.page("/entry/2").contains("EX0C"));
+    assert!(served.page("/entry/2/fine").contains("id=\"parameters\""));
 }
 
 #[test]
