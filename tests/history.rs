@@ -1,7 +1,11 @@
 //! The history of one machine: every figure of the set, the events of its truth, and a file that loses nothing.
 
-mod kept;
+pub(crate) mod kept;
 mod machines;
+pub(crate) mod serve;
+pub(crate) mod stored;
+mod volumetric;
+mod worn;
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -162,8 +166,9 @@ fn what_happened_is_told() {
                         event["parameters"].as_object().into_iter().flatten().map(|(name, _)| name.as_str()).collect();
                     let events = trend["analysis"]["events"].as_array().expect("events");
                     let jump = events.iter().find(|event| event["change"]["form"] == "step").expect("a jump");
-                    let found: BTreeSet<&str> =
-                        jump["parameters"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
+                    let found = jump["parameters"].as_array().into_iter().flatten().filter_map(Value::as_str);
+                    // What they do together stands beside them.
+                    let found: BTreeSet<&str> = found.filter(|name| !name.starts_with("volumetric")).collect();
                     assert_eq!(found, names, "{data}");
                 }
                 _ => {}

@@ -10,3 +10,5 @@ mod linuxcnc;
 mod measured;
 mod page;
 mod programs;
+mod served;
+mod server;

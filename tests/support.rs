@@ -59,7 +59,8 @@ pub fn narrow<S: AsRef<OsStr>>(at: &Path, arguments: &[S]) -> Printed {
     printed(program(at, arguments).env("COLUMNS", "80"))
 }
 
-fn printed(program: &mut Command) -> Printed {
+/// Runs a program to its end.
+pub fn printed(program: &mut Command) -> Printed {
     let output = program.output().expect("the program starts");
     let text = |bytes| String::from_utf8(bytes).expect("the program prints UTF-8");
     Printed {

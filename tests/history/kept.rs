@@ -1,13 +1,35 @@
 //! `abbe history`: what is added is there once, whoever is killed and however many write.
 
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use crate::support::{Small, abbe, program, read, root, temporary, write};
+use crate::support::{Printed, Small, abbe, printed, program, read, root, temporary, write};
+
+/// A history that commands name, and the password of its server.
+pub struct Plant {
+    pub place: String,
+    pub password: Option<String>,
+}
+
+impl Plant {
+    fn file() -> Self {
+        Self { place: "plant.sqlite".to_owned(), password: None }
+    }
+
+    pub fn program(&self, small: &Small, arguments: &[&str]) -> Command {
+        let mut command = program(&small.path(""), arguments);
+        command.env("COLUMNS", "10000").envs(self.password.iter().map(|password| ("PGPASSWORD", password)));
+        command
+    }
+
+    pub fn abbe(&self, small: &Small, arguments: &[&str]) -> Printed {
+        printed(&mut self.program(small, arguments))
+    }
+}
 
 /// Results that differ in one name, so that each is an entry of its own.
-fn results(small: &Small, count: usize) -> Vec<String> {
+pub fn results(small: &Small, count: usize) -> Vec<String> {
     assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "out"]).status, 0);
     let name = |number: usize| format!("results-{number}");
     for number in 0..count {
@@ -20,58 +42,106 @@ fn results(small: &Small, count: usize) -> Vec<String> {
     (0..count).map(name).collect()
 }
 
-fn entries(small: &Small) -> usize {
-    let listed = small.abbe(&["history", "list", "plant.sqlite"]);
+fn entries(small: &Small, plant: &Plant) -> usize {
+    let listed = plant.abbe(small, &["history", "list", &plant.place]);
     assert_eq!(listed.status, 0, "{}", listed.stderr);
     listed.stdout.lines().filter(|line| line.starts_with(' ')).count()
 }
 
 #[test]
 fn what_is_added_is_there_once_and_comes_back() {
+    comes_back(&Plant::file());
+}
+
+/// Commands add, list, show and export; what cannot be done is told with its exit status.
+pub fn comes_back(plant: &Plant) {
     let small = Small::new();
+    let place = plant.place.as_str();
     let all = results(&small, 3);
     for (folder, told) in [(&all[0], "entry 1"), (&all[1], "entry 2"), (&all[0], "is entry 1 already")] {
-        let added = small.abbe(&["history", "add", "plant.sqlite", folder]);
+        let added = plant.abbe(&small, &["history", "add", place, folder]);
         assert!(added.status == 0 && added.stdout.contains(told), "{} {}", added.stdout, added.stderr);
     }
-    assert_eq!(entries(&small), 2);
-    let shown = small.abbe(&["history", "show", "plant.sqlite", "2"]);
+    assert_eq!(entries(&small, plant), 2);
+    let shown = plant.abbe(&small, &["history", "show", place, "2"]);
     assert!(shown.status == 0 && shown.stdout.contains("fine with"), "{}", shown.stdout);
-    assert_eq!(small.abbe(&["history", "export", "plant.sqlite", "2", "--out", "copy"]).status, 0);
+    assert_eq!(plant.abbe(&small, &["history", "export", place, "2", "--out", "copy"]).status, 0);
     let file = "fine.calibration.json";
     assert_eq!(small.read(&format!("copy/{file}")), small.read(&format!("{}/{file}", all[1])));
-    assert_eq!(small.abbe(&["history", "show", "plant.sqlite", "9"]).status, 2);
-    assert_eq!(small.abbe(&["history", "list", "absent.sqlite"]).status, 2);
-    assert_eq!(small.abbe(&["history", "add", "plant.sqlite", "data"]).status, 2);
+    assert_eq!(plant.abbe(&small, &["history", "show", place, "9"]).status, 2);
+    assert_eq!(plant.abbe(&small, &["history", "add", place, "data"]).status, 2);
+    assert_eq!(entries(&small, plant), 2);
 }
 
 #[test]
 fn a_recipe_keeps_what_it_finds_once() {
+    kept_by_a_recipe(&Plant::file());
+}
+
+/// The key `history` of a recipe keeps what every run finds, once. No result has the password.
+pub fn kept_by_a_recipe(plant: &Plant) {
     let small = Small::new();
     let recipe = small.read("recipe.yaml");
-    small.write("recipe.yaml", &recipe.replacen("stages:", "history: plant.sqlite\nstages:", 1));
+    small.write("recipe.yaml", &recipe.replacen("stages:", &format!("history: {}\nstages:", plant.place), 1));
     for _ in 0..2 {
-        assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "out"]).status, 0);
-        assert_eq!(entries(&small), 1);
+        let run = plant.abbe(&small, &["run", "recipe.yaml", "--out", "out"]);
+        assert_eq!(run.status, 0, "{}", run.stderr);
+        assert_eq!(entries(&small, plant), 1);
     }
-    small.write("recipe.yaml", &recipe.replacen("stages:", "history: postgres://me:secret@plant/abbe\nstages:", 1));
-    let refused = small.abbe(&["run", "recipe.yaml", "--out", "out"]);
-    assert!(refused.status == 2 && refused.stderr.contains("name of a file"), "{}", refused.stderr);
-    assert!(!refused.stderr.contains("plant.sqlite is"));
+    let Some(password) = &plant.password else { return };
+    for file in std::fs::read_dir(small.path("out/recipe")).expect("results").flatten() {
+        let content = std::fs::read(file.path()).unwrap_or_default();
+        assert!(!String::from_utf8_lossy(&content).contains(password.as_str()), "{}", file.path().display());
+    }
+}
+
+#[test]
+fn a_history_that_is_not_there_is_told() {
+    let small = Small::new();
+    assert_eq!(small.abbe(&["history", "list", "absent.sqlite"]).status, 2);
+    let listed = small.abbe(&["history", "list", "http://plant/abbe"]);
+    assert!(listed.status == 2 && listed.stderr.contains("postgres://USER@HOST/DATABASE"), "{}", listed.stderr);
+}
+
+/// A password in an address is refused wherever it stands, and no message repeats it.
+#[test]
+fn passwords_stand_in_no_address_and_in_no_message() {
+    let small = Small::new();
+    let recipe = small.read("recipe.yaml");
+    for address in ["postgres://me:geheim@plant/abbe", "postgres://plant/abbe?user=me&password=geheim"] {
+        small.write("recipe.yaml", &recipe.replacen("stages:", &format!("history: {address}\nstages:"), 1));
+        for arguments in [
+            &["run", "recipe.yaml", "--out", "out"][..],
+            &["check", "recipe.yaml"],
+            &["history", "list", address],
+            &["history", "check", address, "--json"],
+            &["history", "add", address, "out/recipe"],
+            &["serve", address],
+        ] {
+            let refused = small.abbe(arguments);
+            assert_eq!(refused.status, 2, "{arguments:?}: {}", refused.stderr);
+            let told = refused.stdout + &refused.stderr;
+            assert!(told.contains("PGPASSWORD") && !told.contains("geheim"), "{arguments:?}: {told}");
+        }
+    }
+}
+
+#[test]
+fn killed_writers_lose_and_double_nothing() {
+    killed_writers(&Plant::file());
 }
 
 /// A hundred writers are killed at random moments, two at a time; then everything is added once more. All is there, each once.
-#[test]
-fn killed_writers_lose_and_double_nothing() {
+pub fn killed_writers(plant: &Plant) {
     const KILLS: u64 = 100;
     const ENTRIES: usize = 12;
     let small = Small::new();
     let all = results(&small, ENTRIES);
     let begun = Instant::now();
     let add = |from: usize| {
-        let mut arguments = vec!["history".to_owned(), "add".to_owned(), "plant.sqlite".to_owned()];
-        arguments.extend((0..ENTRIES).map(|number| all[(from + number) % ENTRIES].clone()));
-        program(&small.path(""), &arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("a program")
+        let mut arguments = vec!["history", "add", &plant.place];
+        arguments.extend((0..ENTRIES).map(|number| all[(from + number) % ENTRIES].as_str()));
+        plant.program(&small, &arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("a program")
     };
     let (mut state, mut whole, mut before) = (1_u64, 0, 0);
     for kill in 0..KILLS / 2 {
@@ -83,21 +153,20 @@ fn killed_writers_lose_and_double_nothing() {
             writer.kill().expect("a program can be killed");
             whole += usize::from(writer.wait().expect("an end").success());
         }
-        if small.path("plant.sqlite").exists() {
-            let listed = small.abbe(&["history", "list", "plant.sqlite"]);
-            // A file without tables is what a writer leaves that was killed while it made them.
-            let found = listed.stdout.lines().filter(|line| line.starts_with(' ')).count();
-            assert!(listed.status == 0 || listed.stderr.contains("is empty"), "{}", listed.stderr);
-            assert!(found >= before && found <= ENTRIES, "{before} entries, then {found}");
-            before = found;
-        }
+        let listed = plant.abbe(&small, &["history", "list", &plant.place]);
+        // Until the first entry is in it there is no history.
+        let none = ["does not exist", "holds no history"].iter().any(|none| listed.stderr.contains(none));
+        assert!(listed.status == 0 || (none && before == 0), "{}", listed.stderr);
+        let found = listed.stdout.lines().filter(|line| line.starts_with(' ')).count();
+        assert!(found >= before && found <= ENTRIES, "{before} entries, then {found}");
+        before = found;
         assert!(begun.elapsed() < Duration::from_secs(300));
     }
     assert!(whole < KILLS as usize, "no writer was killed");
     assert!(add(0).wait().expect("an end").success());
-    assert_eq!(entries(&small), ENTRIES);
+    assert_eq!(entries(&small, plant), ENTRIES);
     for number in 1..=ENTRIES {
-        assert_eq!(small.abbe(&["history", "show", "plant.sqlite", &number.to_string()]).status, 0);
+        assert_eq!(plant.abbe(&small, &["history", "show", &plant.place, &number.to_string()]).status, 0);
     }
 }
 
@@ -155,6 +224,30 @@ fn a_check_of_forty_weeks_is_an_alarm() {
         ["jump in week 23: EY0C", "EB0A -45", "week 14 is rejected", "week 18 has no test", "for 3 weeks", "drift"]
     {
         assert!(checked.stdout.contains(told), "{told}: {}", checked.stdout);
+    }
+    // With the temperatures the season is none; the volumetric error is a limit like any other, and the future may be a walk.
+    let temperature = root().join("pipelines/data/history/realistic/temperature.csv").to_string_lossy().into_owned();
+    let follows = ["--from", &temperature, "--follows", "EYY[1]=T01@20"];
+    let limits = ["--volumetric", "3", "--limit", "volumetric largest=150um", "--forecast", "random-walk"];
+    let checked = asked(&[&check[..], &follows, &limits].concat());
+    assert_eq!((checked.status, checked.stderr.as_str()), (3, ""), "{}", checked.stdout);
+    for told in [
+        "EYY[1] follows T01 by +2.66",
+        "for 4 weeks",
+        "volumetric largest keeps 150 µm with a risk of 5 % for 15 weeks",
+    ] {
+        assert!(checked.stdout.contains(told), "{told}: {}", checked.stdout);
+    }
+    assert!(!checked.stdout.contains("jump in week 30"), "{}", checked.stdout);
+    for (wrong, told) in [
+        (["--from", &temperature, "--follows", "EYY[1]"], "EYY[1]=T01@20"),
+        (["--from", &temperature, "--follows", "EYY[1]=T99@20"], "T99"),
+        (["--from", &temperature, "--follows", "nothing=T01@20"], "nothing"),
+        (["--from", &at("absent.csv"), "--follows", "EYY[1]=T01@20"], "absent.csv"),
+        (["--volumetric", "0", "--limit", "EXX[b]=1um"], "at least one point"),
+    ] {
+        let refused = asked(&[&check[..], &wrong].concat());
+        assert!([1, 2].contains(&refused.status) && refused.stderr.contains(told), "{wrong:?}: {}", refused.stderr);
     }
     let copy = at("copy");
     assert_eq!(asked(&["history", "export", &plant, "1", "--out", &copy]).status, 0);

@@ -17,7 +17,7 @@ const NAMES: [&str; 13] =
     ["EY0A", "EZ0A", "EB0A", "EC0A", "EX0C", "EY0C", "EA0C", "EB0C", "EC0Y", "EXX[1]", "EYY[1]", "EZZ[1]", "EXX[b]"];
 
 /// A programmed touch.
-struct Touch {
+pub(super) struct Touch {
     feature: usize,
     angles: [f64; 2],
     direction: [f64; 3],
@@ -57,7 +57,7 @@ fn balls() -> [Vector3<f64>; 2] {
 }
 
 /// The programme of the set: which ball, from which side, at which angles.
-fn programme() -> Vec<Touch> {
+pub(super) fn programme() -> Vec<Touch> {
     let text = read(&root().join("pipelines/data/history/exact/touches.csv"));
     let rows = text.lines().filter(|line| !line.starts_with('#')).skip(1);
     let touch = |line: &str| {
@@ -86,8 +86,21 @@ fn stop(errors: &Errors, touch: &Touch, centre: &Vector3<f64>, distance: f64) ->
     command
 }
 
+/// What happens to an artefact, and to the stylus that touches it, mm.
+#[derive(Default)]
+pub(super) struct Worn {
+    /// The first week.
+    pub from: u64,
+    /// How much longer the bar is.
+    pub length: f64,
+    /// How much larger each ball is, in radius.
+    pub balls: [f64; 2],
+    /// How much larger the stylus is, in radius.
+    pub stylus: f64,
+}
+
 /// What happens to a machine.
-struct Story {
+pub(super) struct Story {
     baseline: Errors,
     settling: (f64, f64),
     wear: f64,
@@ -96,10 +109,31 @@ struct Story {
     bad: u64,
     missing: u64,
     temperatures: Vec<f64>,
+    worn: Worn,
 }
 
 impl Story {
-    fn new(random: &mut Random) -> Self {
+    /// A machine to which nothing happens.
+    pub fn quiet(random: &mut Random) -> Self {
+        let never = WEEKS + 1;
+        let story = Self::new(random);
+        Self {
+            settling: (0.0, 1.0),
+            wear: 0.0,
+            season: 0.0,
+            crash: (never, "EX0C", 0.0),
+            bad: never,
+            missing: never,
+            ..story
+        }
+    }
+
+    /// The same machine, to which this happens.
+    pub fn with(self, worn: Worn, crash: (u64, &'static str, f64)) -> Self {
+        Self { worn, crash, ..self }
+    }
+
+    pub fn new(random: &mut Random) -> Self {
         let size = |name: &str| match name {
             "EXX[b]" => 0.002,
             _ if name.starts_with("EX0") || name.starts_with("EY0") || name.starts_with("EZ0") => 0.03,
@@ -132,6 +166,7 @@ impl Story {
             bad,
             missing,
             temperatures,
+            worn: Worn::default(),
         }
     }
 
@@ -162,12 +197,14 @@ impl Story {
                 || Vector3::new(random.within(-0.1, 0.1), random.within(-0.1, 0.1), random.within(-0.1, 0.1));
             let first = balls()[0] + shift();
             let towards = (balls()[1] + shift() - first).normalize();
-            let centres = [first, first + towards * LENGTH];
+            let worn = if week >= self.worn.from { &self.worn } else { &Worn::default() };
+            let centres = [first, first + towards * (LENGTH + worn.length)];
             for (number, touch) in programme.iter().enumerate() {
                 let slipped = week == self.bad && touch.feature == 1 && touch.group > 4;
                 let centre = centres[touch.feature]
                     + if slipped { Vector3::new(0.015, -0.012, 0.006) } else { Vector3::zeros() };
-                let at = stop(&errors, touch, &centre, 13.0 + 0.0007 * random.normal());
+                let distance = 13.0 + worn.balls[touch.feature] + worn.stylus;
+                let at = stop(&errors, touch, &centre, distance + 0.0007 * random.normal());
                 let [a, c] = touch.angles;
                 let [x, y, z] = touch.direction;
                 let (name, feature, group) = (number + 1, touch.feature + 1, touch.group);
@@ -183,6 +220,16 @@ impl Story {
 }
 
 fn analysed(story: &Story, seed: u64, programme: &[Touch]) -> Value {
+    analysed_by(story, seed, programme, |variant| variant)
+}
+
+/// What the recipe, changed by `change`, tells of what is measured on a machine.
+pub(super) fn analysed_by(
+    story: &Story,
+    seed: u64,
+    programme: &[Touch],
+    change: impl FnOnce(Variant) -> Variant,
+) -> Value {
     let folder = temporary();
     let (touches, temperatures) = story.measure(&mut Random(seed | 1), programme);
     let paths = ["touches.csv", "temperature.csv"].map(|name| folder.path().join(name));
@@ -196,12 +243,11 @@ fn analysed(story: &Story, seed: u64, programme: &[Touch]) -> Value {
     };
     let values: BTreeMap<&str, Value> =
         story.baseline.iter().map(|(name, value)| (*name, json!({ "value": value, "unit": unit(name) }))).collect();
-    let outcome = Variant::of(&recipes()["history"])
+    let variant = Variant::of(&recipes()["history"])
         .set("touches", "path", json!(paths[0]))
         .set("temperature", "path", json!(paths[1]))
-        .set("baseline", "values", json!(values))
-        .run();
-    trend(&outcome)
+        .set("baseline", "values", json!(values));
+    trend(&change(variant).run())
 }
 
 #[test]

@@ -92,14 +92,29 @@ impl Driver {
     }
 
     /// Shows a page in a window of this size, and waits until it is there.
-    pub fn open(&mut self, page: &Path, [width, height]: [u32; 2], is_dark: bool) {
+    pub fn open(&mut self, page: &Path, size: [u32; 2], is_dark: bool) {
+        self.go(&format!("file://{}", page.display()), size, is_dark);
+    }
+
+    /// Shows what an address has in a window of this size, and waits until it is there.
+    pub fn go(&mut self, address: &str, [width, height]: [u32; 2], is_dark: bool) {
         let size = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
         self.ask("Emulation.setDeviceMetricsOverride", size);
         let scheme = if is_dark { "dark" } else { "light" };
         let wanted = json!({ "features": [{ "name": "prefers-color-scheme", "value": scheme }] });
         self.ask("Emulation.setEmulatedMedia", wanted);
         self.events.clear();
-        self.ask("Page.navigate", json!({ "url": format!("file://{}", page.display()) }));
+        self.ask("Page.navigate", json!({ "url": address }));
+        self.loaded();
+    }
+
+    /// Forgets what happened, before something leads to another page.
+    pub fn forget(&mut self) {
+        self.events.clear();
+    }
+
+    /// Waits until a page is there.
+    pub fn loaded(&mut self) {
         while !self.events.iter().any(|event| event["method"] == "Page.loadEventFired") {
             let event = self.receive();
             self.events.push(event);
@@ -165,6 +180,11 @@ impl Driver {
 
     /// What the page said to the console since it was opened, and what it asked for beside itself.
     pub fn complaints(&self) -> Vec<String> {
+        self.complaints_but("file:")
+    }
+
+    /// The same, where addresses that begin so are its own.
+    pub fn complaints_but(&self, own: &str) -> Vec<String> {
         let said = |event: &&Value| {
             let text = event["params"]["entry"]["text"].as_str().unwrap_or_default();
             match event["method"].as_str().unwrap_or_default() {
@@ -173,7 +193,7 @@ impl Driver {
                 "Log.entryAdded" => !text.contains("GL Driver Message"),
                 "Network.requestWillBeSent" => {
                     let url = event["params"]["request"]["url"].as_str().unwrap_or_default();
-                    !url.starts_with("file:")
+                    !url.starts_with(own)
                 }
                 _ => false,
             }

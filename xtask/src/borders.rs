@@ -53,7 +53,7 @@ const CRATES: [Border; 28] = [
         tested_with: &["abbe-serial-chain"],
     },
     border("abbe-controllers", &["abbe-compensation", "abbe-core"]),
-    border("abbe-trend", &["abbe-core", "abbe-numerics"]),
+    border("abbe-trend", &["abbe-core", "abbe-numerics", "abbe-volumetric"]),
     border("abbe-history", &["abbe-core", "abbe-files", "abbe-trend"]),
     border("abbe-plugin", &["abbe-core", "abbe-estimation", "abbe-files"]),
     border("abbe-recipe", &["abbe-core", "abbe-estimation", "abbe-files", "abbe-planning"]),
@@ -87,6 +87,7 @@ const CRATES: [Border; 28] = [
             "abbe-report",
             "abbe-table",
             "abbe-trend",
+            "abbe-volumetric",
         ],
     ),
     // Outside `crates`: nothing depends on them.

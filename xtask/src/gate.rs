@@ -10,6 +10,9 @@ use crate::{Outcome, borders, cargo, header, linuxcnc, root, run as run_command}
 /// Tests that need another program stand in a module of this name.
 const OUTSIDE: &str = "outside::";
 
+/// What the tests are built with besides the default: histories on a server, which the second part tries on a real one.
+const FEATURES: [&str; 2] = ["--features", "abbe-tests/postgres"];
+
 /// What a test prints before its name and the reason why it was skipped.
 const SKIPPED: &str = "SKIPPED: ";
 
@@ -48,11 +51,13 @@ fn rust_alone(tests: &mut Tests) -> Outcome {
     run_command(cargo(&["fmt", "--all", "--check"]))?;
     borders::check()?;
     header::check()?;
-    run_command(cargo(&["clippy", "--workspace", "--all-targets", "--locked", "--", "-D", "warnings"]))?;
-    let mut docs = cargo(&["doc", "--workspace", "--no-deps", "--locked", "--quiet"]);
+    let clippy = ["clippy", "--workspace", "--all-targets", "--locked"];
+    run_command(cargo(&[&clippy[..], &FEATURES, &["--", "-D", "warnings"]].concat()))?;
+    let mut docs = cargo(&[&["doc", "--workspace", "--no-deps", "--locked", "--quiet"][..], &FEATURES].concat());
     docs.env("RUSTDOCFLAGS", "-D warnings");
     run_command(docs)?;
-    let of_tests = tests.run(&["test", "--workspace", "--locked", "--no-fail-fast", "--", "--skip", OUTSIDE]);
+    let all = ["test", "--workspace", "--locked", "--no-fail-fast"];
+    let of_tests = tests.run(&[&all[..], &FEATURES, &["--", "--skip", OUTSIDE]].concat());
     // What the recipes find is what was reviewed. The program of the tests stands beside this one: no second build.
     let this = std::env::current_exe().map_err(|error| error.to_string())?;
     let mut abbe = Command::new(this.with_file_name("abbe-under-test"));
@@ -65,7 +70,7 @@ fn rust_alone(tests: &mut Tests) -> Outcome {
 
 fn other_programs(tests: &mut Tests) -> Outcome {
     linuxcnc::create_user()?;
-    let whole = ["test", "--workspace", "--test", "whole", "--locked", "--"];
+    let whole = ["test", "--workspace", "--test", "whole", "--locked", FEATURES[0], FEATURES[1], "--"];
     // LinuxCNC runs in real time: nothing else runs beside it.
     let of_control = tests.run(&[&whole[..], &linuxcnc::TESTS, &["--test-threads=1"]].concat());
     let without_control = linuxcnc::TESTS.iter().flat_map(|name| ["--skip", *name]);

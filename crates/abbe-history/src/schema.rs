@@ -1,5 +1,6 @@
 //! The tables, and how those of an older version become those of this one.
 
+use abbe_core::{Error, Result};
 use rusqlite::{Connection, Transaction};
 
 /// The version of the tables that this program writes.
@@ -7,6 +8,15 @@ pub const SCHEMA_VERSION: i64 = 2;
 
 /// Marks an SQLite file as a history: "Abbe" as a number.
 pub(crate) const APPLICATION: i64 = 0x4162_6265;
+
+/// The version of tables that this program can read; `name` is that of the history.
+pub(crate) fn known(version: i64, name: &str) -> Result<i64> {
+    if version <= SCHEMA_VERSION {
+        return Ok(version);
+    }
+    let message = format!("{name} is a history of version {version}; this program reads up to {SCHEMA_VERSION}");
+    Err(Error::usage(message).help("use the version of Abbe that wrote it, or a later one"))
+}
 
 /// The steps from one version to the next. A step adds; none changes or drops what is stored.
 const STEPS: [&str; SCHEMA_VERSION as usize] = [
@@ -35,6 +45,35 @@ const STEPS: [&str; SCHEMA_VERSION as usize] = [
      CREATE TRIGGER calibration_is_kept BEFORE DELETE ON calibration
          BEGIN SELECT RAISE(ABORT, 'entries of a history are never deleted'); END;",
     // One machine among many is found without looking at the others.
+    "CREATE INDEX calibration_of_machine ON calibration (machine, at);",
+];
+
+/// The same steps on a server. `rowid` is what every table of SQLite has anyway.
+#[cfg(feature = "postgres")]
+pub(crate) const SERVER_STEPS: [&str; SCHEMA_VERSION as usize] = [
+    "CREATE TABLE version (number BIGINT PRIMARY KEY);
+     CREATE TABLE entry (
+         number BIGINT PRIMARY KEY,
+         sha256 TEXT NOT NULL UNIQUE,
+         recipe TEXT NOT NULL,
+         verdicts TEXT NOT NULL,
+         evidence TEXT NOT NULL
+     );
+     CREATE TABLE calibration (
+         rowid BIGINT GENERATED ALWAYS AS IDENTITY,
+         entry BIGINT NOT NULL REFERENCES entry(number),
+         machine TEXT NOT NULL,
+         estimate TEXT NOT NULL,
+         label TEXT NOT NULL,
+         at DOUBLE PRECISION NOT NULL,
+         unit TEXT NOT NULL,
+         content TEXT NOT NULL,
+         PRIMARY KEY (entry, estimate)
+     );
+     CREATE FUNCTION refuse() RETURNS trigger LANGUAGE plpgsql AS
+         $$ BEGIN RAISE EXCEPTION 'entries of a history never change and are never deleted'; END $$;
+     CREATE TRIGGER entry_stays BEFORE UPDATE OR DELETE OR TRUNCATE ON entry EXECUTE FUNCTION refuse();
+     CREATE TRIGGER calibration_stays BEFORE UPDATE OR DELETE OR TRUNCATE ON calibration EXECUTE FUNCTION refuse();",
     "CREATE INDEX calibration_of_machine ON calibration (machine, at);",
 ];
 

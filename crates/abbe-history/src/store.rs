@@ -1,300 +1,190 @@
 //! Adding and reading entries.
 
-use std::path::{Path, PathBuf};
-use std::time::Duration;
+#[cfg(feature = "postgres")]
+use std::cell::RefCell;
+use std::path::Path;
 
-use abbe_core::{Calibration, Error, Result, Verdict};
-use rusqlite::{Connection, OpenFlags, OptionalExtension, Row, TransactionBehavior, params};
-use serde_json::{Value, json};
-use sha2::{Digest, Sha256};
+use abbe_core::{Calibration, Error, Result};
 
-use crate::schema::{APPLICATION, SCHEMA_VERSION, migrate, version};
+use crate::entry::{Added, Entry, Filter, Stored, Written};
+#[cfg(feature = "postgres")]
+use crate::server::Server;
+use crate::sqlite::File;
+use crate::statements::{ALL, Cell, Cells, ENTRIES, ENTRIES_BEFORE, ENTRY, LAST, MACHINES, OF_ENTRY, OF_MACHINE};
 
-/// How long one program waits for another that is writing.
-const PATIENCE: Duration = Duration::from_secs(30);
-
-/// What one run found.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Entry {
-    /// Name of the recipe.
-    pub recipe: String,
-    /// Its calibrations, each with its machine and its time.
-    pub calibrations: Vec<Stored>,
-    /// Its verdicts.
-    pub verdicts: Vec<Verdict>,
-    /// What it was made of: the files that were read, with their hashes, and the plugins.
-    pub evidence: Value,
-}
-
-/// A calibration with its machine and its time.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Stored {
-    /// The machine.
-    pub machine: String,
-    /// What the test is called: a week, a date.
-    pub label: String,
-    /// When it was, in `unit`.
-    pub at: f64,
-    /// `week`, `day`, ...
-    pub unit: String,
-    /// The result.
-    pub calibration: Calibration,
-}
-
-/// What came of adding an entry.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Added {
-    /// It has this number now.
-    New(i64),
-    /// The same content has this number already: nothing was done.
-    Known(i64),
-}
-
-/// Which calibrations are wanted.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Filter {
-    /// Those of one machine.
-    pub machine: Option<String>,
-    /// Those of one entry.
-    pub entry: Option<i64>,
-}
-
-/// A history in an SQLite file.
+/// A history: a file, or tables on a server.
 pub struct History {
-    path: PathBuf,
-    connection: Connection,
+    kept: Kept,
 }
 
-impl Entry {
-    /// SHA-256 of its content, in hexadecimal digits. Times have no part in it: the same data give the same result on any day.
-    pub fn sha256(&self) -> Result<String> {
-        let mut parts = Vec::new();
-        for stored in &self.calibrations {
-            let content = serde_json::to_value(&stored.calibration).map_err(|error| unwritable(&error))?;
-            parts.push(json!([stored.machine, content]));
-        }
-        let content = json!([self.recipe, parts, self.verdicts, self.evidence]);
-        Ok(Sha256::digest(content.to_string().as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect())
-    }
-}
-
-fn unwritable(error: &serde_json::Error) -> Error {
-    Error::data(format!("a result cannot be kept: {error}"))
+enum Kept {
+    File(File),
+    #[cfg(feature = "postgres")]
+    Server(Box<RefCell<Server>>),
 }
 
 impl History {
-    /// Opens a history to add to it; makes it if it is not there.
+    /// Opens a file to add to it; makes it if it is not there.
     ///
     /// Fails for a file that is something else, and for a history of a later version of this program.
     pub fn open(path: &Path) -> Result<Self> {
-        let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_CREATE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-        let mut history = Self::connected(path, flags)?;
-        let found = history.checked()?;
-        if found < SCHEMA_VERSION {
-            history.bring_up_to_date()?;
-        }
-        Ok(history)
-    }
-
-    /// Brings the tables to the version of this program.
-    fn bring_up_to_date(&mut self) -> Result<()> {
-        let migrated = (|| {
-            let transaction = self.connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
-            migrate(&transaction)?;
-            transaction.commit()
-        })();
-        migrated.map_err(|error| self.failed(&error))
+        Ok(Self { kept: Kept::File(File::open(path)?) })
     }
 
     /// A new history in memory, to be [saved](Self::save) when its first entries are in it. Messages name `path`.
     pub fn new(path: &Path) -> Result<Self> {
-        let connection = Connection::open_in_memory();
-        let mut history = Self::configured(path, connection)?;
-        history.bring_up_to_date()?;
-        Ok(history)
+        Ok(Self { kept: Kept::File(File::new(path)?) })
+    }
+
+    /// Opens a file to read it; nothing is changed, an older version is read as it is.
+    pub fn read(path: &Path) -> Result<Self> {
+        Ok(Self { kept: Kept::File(File::read(path)?) })
+    }
+
+    /// Connects to a PostgreSQL server to add to the history in one of its data bases; makes the tables if they are not there.
+    ///
+    /// Fails for an address with a password: that comes from the variable `PGPASSWORD` or from a service file. Fails in a program
+    /// without the feature `postgres`.
+    pub fn on_server(address: &str) -> Result<Self> {
+        Self::connected(address, false)
+    }
+
+    /// The same to read: nothing is changed, and cannot be.
+    pub fn read_server(address: &str) -> Result<Self> {
+        Self::connected(address, true)
+    }
+
+    #[cfg(feature = "postgres")]
+    fn connected(address: &str, only_read: bool) -> Result<Self> {
+        let server = if only_read { Server::read(address)? } else { Server::open(address)? };
+        Ok(Self { kept: Kept::Server(Box::new(RefCell::new(server))) })
+    }
+
+    #[cfg(not(feature = "postgres"))]
+    fn connected(_: &str, _: bool) -> Result<Self> {
+        let message = "this program was built without PostgreSQL: it keeps histories in files";
+        Err(Error::usage(message).help("build it with `--features postgres`, or name a file"))
     }
 
     /// Writes all of it to an empty file.
     pub fn save(&self, empty: &Path) -> Result<()> {
-        let name = empty.to_str().ok_or_else(|| Error::usage(format!("{} is no name in UTF-8", empty.display())))?;
-        let saved = self.connection.execute("VACUUM INTO ?1", [name]);
-        saved.map(drop).map_err(|error| self.failed(&error))
-    }
-
-    /// Opens a history to read it; nothing is changed, an older version is read as it is.
-    pub fn read(path: &Path) -> Result<Self> {
-        if !path.is_file() {
-            return Err(Error::usage(format!("the history {} does not exist", path.display()))
-                .help("`abbe history add` makes it"));
-        }
-        let history = Self::connected(path, OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX)?;
-        match history.checked()? {
-            0 => Err(Error::usage(format!("{} is empty: it holds no history", path.display()))),
-            _ => Ok(history),
-        }
-    }
-
-    fn connected(path: &Path, flags: OpenFlags) -> Result<Self> {
-        Self::configured(path, Connection::open_with_flags(path, flags))
-    }
-
-    fn configured(path: &Path, connection: rusqlite::Result<Connection>) -> Result<Self> {
-        let failed =
-            |error: rusqlite::Error| Error::usage(format!("the history {} cannot be opened: {error}", path.display()));
-        let connection = connection.map_err(failed)?;
-        connection.busy_timeout(PATIENCE).map_err(failed)?;
-        let history = Self { path: path.to_owned(), connection };
-        let settings = || {
-            // A power failure after an entry was said to be added does not lose it.
-            history.connection.pragma_update(None, "synchronous", "FULL")?;
-            history.connection.pragma_update(None, "foreign_keys", true)
-        };
-        settings().map_err(|error| history.failed(&error))?;
-        Ok(history)
-    }
-
-    /// The version of its tables. Fails for what is no history of this program.
-    fn checked(&self) -> Result<i64> {
-        let found = || -> rusqlite::Result<(i64, i64, i64)> {
-            let application = self.connection.pragma_query_value(None, "application_id", |row| row.get(0))?;
-            let tables = self.connection.query_row("SELECT count(*) FROM sqlite_master", [], |row| row.get(0))?;
-            Ok((application, version(&self.connection)?, tables))
-        };
-        let (application, version, tables) = found().map_err(|error| self.failed(&error))?;
-        let path = self.path.display();
-        match version {
-            _ if application != APPLICATION && tables > 0 => {
-                Err(Error::usage(format!("{path} is a data base of something else, not a history"))
-                    .help("name another file"))
-            }
-            SCHEMA_VERSION.. if version > SCHEMA_VERSION => {
-                let message =
-                    format!("{path} is a history of version {version}; this program reads up to {SCHEMA_VERSION}");
-                Err(Error::usage(message).help("use the version of Abbe that wrote it, or a later one"))
-            }
-            version => Ok(version),
-        }
-    }
-
-    fn failed(&self, error: &rusqlite::Error) -> Error {
-        use rusqlite::ErrorCode::{DatabaseBusy, DiskFull, NotADatabase, ReadOnly};
-        let path = self.path.display();
-        match error.sqlite_error_code() {
-            Some(NotADatabase) => Error::usage(format!("{path} is no history")).help("name another file"),
-            Some(DatabaseBusy) => {
-                let message = format!("{path} is being written by another program, for {} s now", PATIENCE.as_secs());
-                Error::data(message).help("try again; nothing was added")
-            }
-            Some(ReadOnly) => Error::usage(format!("{path} cannot be written")).help("nothing was added"),
-            Some(DiskFull) => Error::data(format!("the history {path} cannot be written: the disk is full"))
-                .help("make room, or name a file on another disk; nothing was added"),
-            _ => Error::data(format!("the history {path}: {error}")),
+        match &self.kept {
+            Kept::File(file) => file.save(empty),
+            #[cfg(feature = "postgres")]
+            Kept::Server(_) => Err(Error::usage("a history on a server is no file")),
         }
     }
 
     /// Adds an entry, unless its content is there already. When this returns the entry is on the disk, or there is an error and it
     /// is not.
     pub fn add(&mut self, entry: &Entry) -> Result<Added> {
-        let sha256 = entry.sha256()?;
-        let mut calibrations = Vec::new();
-        for stored in &entry.calibrations {
-            calibrations.push((stored, stored.calibration.to_json()?));
+        let written = Written::of(entry)?;
+        match &mut self.kept {
+            Kept::File(file) => file.add(&written),
+            #[cfg(feature = "postgres")]
+            Kept::Server(server) => server.get_mut().add(&written),
         }
-        let verdicts = serde_json::to_string(&entry.verdicts).map_err(|error| unwritable(&error))?;
-        let evidence = entry.evidence.to_string();
-        let mut add = || -> rusqlite::Result<Added> {
-            // From here on other writers wait: what is looked up stays so.
-            let transaction = self.connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
-            let known = transaction
-                .query_row("SELECT number FROM entry WHERE sha256 = ?1", [&sha256], |row| row.get(0))
-                .optional()?;
-            if let Some(known) = known {
-                return Ok(Added::Known(known));
-            }
-            transaction.execute(
-                "INSERT INTO entry (sha256, recipe, verdicts, evidence) VALUES (?1, ?2, ?3, ?4)",
-                params![sha256, entry.recipe, verdicts, evidence],
-            )?;
-            let number = transaction.last_insert_rowid();
-            for (stored, content) in &calibrations {
-                let estimate = &stored.calibration.estimate;
-                transaction.execute(
-                    "INSERT INTO calibration (entry, machine, estimate, label, at, unit, content) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
-                    params![number, stored.machine, estimate, stored.label, stored.at, stored.unit, content],
-                )?;
-            }
-            transaction.commit()?;
-            Ok(Added::New(number))
-        };
-        add().map_err(|error| self.failed(&error))
+    }
+
+    fn rows(&self, statement: &str, given: &[Cell]) -> Result<Vec<Vec<Cell>>> {
+        match &self.kept {
+            Kept::File(file) => file.rows(statement, given),
+            #[cfg(feature = "postgres")]
+            Kept::Server(server) => server.borrow_mut().rows(statement, given),
+        }
+    }
+
+    /// Its place, as messages name it.
+    pub fn name(&self) -> String {
+        match &self.kept {
+            Kept::File(file) => file.name(),
+            #[cfg(feature = "postgres")]
+            Kept::Server(server) => server.borrow().name(),
+        }
+    }
+
+    fn damaged(&self, what: &str) -> Error {
+        Error::data(format!("the history {} is damaged: {what}", self.name()))
     }
 
     /// The numbers of all entries, with hash and recipe, the oldest first.
     pub fn entries(&self) -> Result<Vec<(i64, String, String)>> {
-        let read = || -> rusqlite::Result<Vec<(i64, String, String)>> {
-            let mut query = self.connection.prepare("SELECT number, sha256, recipe FROM entry ORDER BY number")?;
-            query.query_map([], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))?.collect()
-        };
-        read().map_err(|error| self.failed(&error))
+        self.listed(ENTRIES, &[])
     }
 
-    /// The machines, with the number of their calibrations.
-    pub fn machines(&self) -> Result<Vec<(String, i64)>> {
-        let read = || -> rusqlite::Result<Vec<(String, i64)>> {
-            let text = "SELECT machine, count(*) FROM calibration GROUP BY machine ORDER BY machine";
-            self.connection.prepare(text)?.query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?.collect()
+    /// The last entries before a number, `most` of them at most, the last one first: number, hash and recipe.
+    pub fn entries_before(&self, number: i64, most: i64) -> Result<Vec<(i64, String, String)>> {
+        self.listed(ENTRIES_BEFORE, &[Cell::Integer(number), Cell::Integer(most)])
+    }
+
+    fn listed(&self, statement: &str, given: &[Cell]) -> Result<Vec<(i64, String, String)>> {
+        let entry = |row| {
+            let mut cells = Cells::new(row);
+            let entry = (|| Some((cells.integer()?, cells.text()?, cells.text()?)))();
+            entry.ok_or_else(|| self.damaged("its entries cannot be read"))
         };
-        read().map_err(|error| self.failed(&error))
+        self.rows(statement, given)?.into_iter().map(entry).collect()
+    }
+
+    /// The machines by name, with the number of their calibrations.
+    pub fn machines(&self) -> Result<Vec<(String, i64)>> {
+        let machine = |row| {
+            let mut cells = Cells::new(row);
+            let machine = (|| Some((cells.text()?, cells.integer()?)))();
+            machine.ok_or_else(|| self.damaged("its machines cannot be read"))
+        };
+        let mut machines = self.rows(MACHINES, &[])?.into_iter().map(machine).collect::<Result<Vec<_>>>()?;
+        machines.sort();
+        Ok(machines)
+    }
+
+    /// Label and unit of time of the last calibration of a machine.
+    pub fn last(&self, machine: &str) -> Result<Option<(String, String)>> {
+        let Some(row) = self.rows(LAST, &[machine.into()])?.pop() else { return Ok(None) };
+        let mut cells = Cells::new(row);
+        let last = (|| Some((cells.text()?, cells.text()?)))();
+        last.map(Some).ok_or_else(|| self.damaged("its calibrations cannot be read"))
     }
 
     /// Calibrations in the order of their times, with the numbers of their entries.
     pub fn calibrations(&self, filter: &Filter) -> Result<Vec<(i64, Stored)>> {
-        let columns = "SELECT entry, machine, label, at, unit, content FROM calibration";
-        let text = match filter.machine.is_some() {
-            true => format!("{columns} WHERE machine = ?1 AND (?2 IS NULL OR entry = ?2) ORDER BY at, entry"),
-            false => format!("{columns} WHERE ?1 IS NULL AND (?2 IS NULL OR entry = ?2) ORDER BY at, entry"),
+        let mut found = match (&filter.machine, filter.entry) {
+            (Some(machine), _) => self.stored(OF_MACHINE, &[machine.as_str().into()])?,
+            (None, Some(entry)) => self.stored(OF_ENTRY, &[Cell::Integer(entry)])?,
+            (None, None) => self.stored(ALL, &[])?,
         };
-        let stored = |row: &Row<'_>| {
-            let content: String = row.get(5)?;
-            Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?, row.get(4)?, content))
+        if let Some(entry) = filter.entry {
+            found.retain(|(own, _)| *own == entry);
+            found.sort_by(|(_, one), (_, other)| one.at.total_cmp(&other.at));
+        }
+        Ok(found)
+    }
+
+    fn stored(&self, statement: &str, given: &[Cell]) -> Result<Vec<(i64, Stored)>> {
+        let stored = |row| {
+            let mut cells = Cells::new(row);
+            let mut read = || {
+                let (entry, machine, label) = (cells.integer()?, cells.text()?, cells.text()?);
+                Some((entry, machine, label, cells.real()?, cells.text()?, cells.text()?))
+            };
+            let (entry, machine, label, at, unit, content) =
+                read().ok_or_else(|| self.damaged("its calibrations cannot be read"))?;
+            Ok((entry, Stored { machine, label, at, unit, calibration: Calibration::from_json(&content)? }))
         };
-        type Line = (i64, String, String, f64, String, String);
-        let read = || -> rusqlite::Result<Vec<Line>> {
-            self.connection.prepare(&text)?.query_map(params![filter.machine, filter.entry], stored)?.collect()
-        };
-        let lines = read().map_err(|error| self.failed(&error))?;
-        let calibration = |(entry, machine, label, at, unit, content): Line| {
-            let calibration = Calibration::from_json(&content)?;
-            Ok((entry, Stored { machine, label, at, unit, calibration }))
-        };
-        lines.into_iter().map(calibration).collect()
+        self.rows(statement, given)?.into_iter().map(stored).collect()
     }
 
     /// An entry as it was added; none if there is no entry of this number.
     pub fn entry(&self, number: i64) -> Result<Option<Entry>> {
-        let read = || {
-            let text = "SELECT recipe, verdicts, evidence FROM entry WHERE number = ?1";
-            let columns = |row: &Row<'_>| Ok((row.get(0)?, row.get(1)?, row.get(2)?));
-            self.connection.query_row(text, [number], columns).optional()
-        };
-        let found: Option<(String, String, String)> = read().map_err(|error| self.failed(&error))?;
-        let Some((recipe, verdicts, evidence)) = found else { return Ok(None) };
-        let damaged = |error: serde_json::Error| {
-            Error::data(format!("entry {number} of the history {} is damaged: {error}", self.path.display()))
-        };
-        let text = "SELECT machine, label, at, unit, content FROM calibration WHERE entry = ?1 ORDER BY rowid";
-        let columns = |row: &Row<'_>| Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?, row.get(4)?));
-        type Line = (String, String, f64, String, String);
-        let read = || -> rusqlite::Result<Vec<Line>> {
-            self.connection.prepare(text)?.query_map([number], columns)?.collect()
-        };
-        let calibrations =
-            read().map_err(|error| self.failed(&error))?.into_iter().map(|(machine, label, at, unit, content)| {
-                Ok(Stored { machine, label, at, unit, calibration: Calibration::from_json(&content)? })
-            });
+        let Some(row) = self.rows(ENTRY, &[Cell::Integer(number)])?.pop() else { return Ok(None) };
+        let mut cells = Cells::new(row);
+        let mut read = || Some((cells.text()?, cells.text()?, cells.text()?));
+        let (recipe, verdicts, evidence) = read().ok_or_else(|| self.damaged("an entry cannot be read"))?;
+        let damaged = |error: serde_json::Error| self.damaged(&format!("entry {number}: {error}"));
+        let calibrations = self.stored(OF_ENTRY, &[Cell::Integer(number)])?;
         Ok(Some(Entry {
             recipe,
-            calibrations: calibrations.collect::<Result<_>>()?,
+            calibrations: calibrations.into_iter().map(|(_, stored)| stored).collect(),
             verdicts: serde_json::from_str(&verdicts).map_err(damaged)?,
             evidence: serde_json::from_str(&evidence).map_err(damaged)?,
         }))

@@ -9,6 +9,7 @@ mod graph;
 mod libraries;
 mod machine_file;
 mod page;
+mod place;
 mod schema;
 mod sets;
 mod stage;
@@ -29,6 +30,7 @@ pub use libraries::{Isolation, Library};
 pub use machine_file::machine_description;
 use machine_file::{merge, read_description};
 pub use page::{PAGE_MARK, index, page, page_name};
+pub use place::HistoryPlace;
 pub use schema::schema;
 use sets::{Expanded, Sets, with_sets};
 pub use stage::Stage;
@@ -81,7 +83,7 @@ pub struct Recipe {
     /// Which measurements are to be chosen, if any.
     pub plan: Option<Planning>,
     /// The history to which every run adds what it finds; relative paths start at the folder of the recipe.
-    pub history: Option<PathBuf>,
+    pub history: Option<HistoryPlace>,
     document: Document,
     origins: BTreeMap<String, Origin>,
     /// The keys of every stage that are not passed on to its plugin.
@@ -283,14 +285,13 @@ fn check_top(root: &Node<'_>) -> Result<(), Error> {
     root.only(&["abbe", "name", "sets", "plugins", "stages", PLAN, HISTORY])
 }
 
-/// The file of a history. Servers are not named in recipes, which many people read.
-fn history(node: &Node<'_>, base: &Path) -> Result<PathBuf, Error> {
-    let text = node.text()?;
-    if text.contains("://") || text.is_empty() {
-        let message = format!("`{HISTORY}` takes the name of a file");
-        return Err(node.error(At::Value, message));
-    }
-    Ok(base.join(text))
+/// Where a history is.
+fn history(node: &Node<'_>, base: &Path) -> Result<HistoryPlace, Error> {
+    let place = HistoryPlace::parse(node.text()?).map_err(|wrong| node.error(At::Value, wrong))?;
+    Ok(match place {
+        HistoryPlace::File(path) => HistoryPlace::File(base.join(path)),
+        server => server,
+    })
 }
 
 fn heads<'a>(root: &Node<'a>, registry: &'a Registry) -> Result<Vec<Head<'a>>, Error> {

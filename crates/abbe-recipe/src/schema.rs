@@ -45,7 +45,7 @@ pub fn schema(registry: &Registry) -> Value {
                 "additionalProperties": { "oneOf": stages },
             },
             "plan": plan(),
-            "history": { "type": "string", "minLength": 1, "description": "File with the history to which every run adds what it finds" },
+            "history": { "type": "string", "minLength": 1, "description": "The history to which every run adds what it finds: a file, or `postgres://USER@HOST/DATABASE` without a password" },
         },
         "required": ["abbe", "stages"],
         "additionalProperties": false,

@@ -15,6 +15,7 @@ mod plan;
 mod residuals;
 mod run;
 mod sections;
+mod served;
 mod sheet;
 mod subset;
 mod words;
@@ -27,5 +28,9 @@ pub use plan::plan_page;
 pub use residuals::{Residual, Residuals};
 pub use run::{Files, FitResult, Run};
 pub use sections::{decided, judged, judged_remarks, micrometres, told_figure, undetermined, unit_of, used, valued};
+pub use served::{
+    KeptCalibration, ListedEntry, ListedMachine, MachinePage, calibration_page, entry_page, machine_page,
+    machines_page, refusal_page,
+};
 pub use sheet::csv;
 pub use words::{ErrorGroup, meaning};

@@ -26,6 +26,12 @@ pub fn page(runs: &[Run]) -> String {
         [one] => one.title.clone(),
         _ => format!("{} calibrations beside each other", runs.len()),
     };
+    let names: Vec<&str> = runs.iter().map(|run| run.name.as_str()).collect();
+    whole(&title, &names, &parts_of(runs))
+}
+
+/// The parts of such a page: identifier, name and content.
+pub fn parts_of(runs: &[Run]) -> Vec<(String, String, String)> {
     let mut parts: Vec<(String, String, String)> = Vec::new();
     let mut part = |id: &str, name: &str, html: &str| parts.push((id.to_owned(), name.to_owned(), html.to_owned()));
     if runs.len() > 1 {
@@ -39,10 +45,10 @@ pub fn page(runs: &[Run]) -> String {
             _ => (format!("{}-", number + 1), format!(", {}", run.name)),
         };
         part(&format!("{id}verdict"), &format!("Verdict{of}"), &verdict(run));
-        for (stage, analysis) in &run.trends {
+        for (stage, analysis, quality) in &run.trends {
             let verdict = run.verdicts.iter().find(|verdict| verdict.stage == *stage);
             let remarks = verdict.map_or(&[][..], |verdict| &verdict.remarks);
-            part(&format!("{id}{stage}"), &format!("Over time, {stage}{of}"), &trend(analysis, remarks));
+            part(&format!("{id}{stage}"), &format!("Over time, {stage}{of}"), &trend(analysis, quality, remarks));
         }
         let charts = acceptance(run);
         if !charts.is_empty() {
@@ -117,8 +123,7 @@ pub fn page(runs: &[Run]) -> String {
         }
         part(&format!("{id}provenance"), &format!("Provenance{of}"), &provenance(run));
     }
-    let names: Vec<&str> = runs.iter().map(|run| run.name.as_str()).collect();
-    whole(&title, &names, &parts)
+    parts
 }
 
 /// The residuals of all estimates; those of the main one are open, and linked to its viewer.

@@ -8,7 +8,7 @@ use abbe_core::{
 };
 use abbe_engine::{CALIBRATION, Outcome, RunRecord, VERDICTS, model_of, residuals_file};
 use abbe_files::{LARGEST_RESULT, LARGEST_TEXT, read_text};
-use abbe_trend::Analysis;
+use abbe_trend::{Analysis, Quality};
 use sha2::{Digest, Sha256};
 
 use crate::residuals::Residuals;
@@ -39,8 +39,8 @@ pub struct Run {
     pub fits: Vec<FitResult>,
     /// The verdicts.
     pub verdicts: Vec<Verdict>,
-    /// What the history of the machine tells, by the stages that judged it.
-    pub trends: Vec<(String, Analysis)>,
+    /// What the history of the machine tells, by the stages that judged it, and how good each test is.
+    pub trends: Vec<(String, Analysis, Vec<Quality>)>,
     /// The tables of acceptance tests.
     pub acceptance: Vec<AcceptanceTable>,
     /// The record; none for a calibration without its run.
@@ -146,6 +146,29 @@ impl Run {
         })
     }
 
+    /// Calibrations and verdicts that were kept without the folder of their run.
+    ///
+    /// Fails where the plugin of a model is not known, or the model cannot be built.
+    pub fn kept(
+        title: &str,
+        calibrations: Vec<Calibration>,
+        verdicts: Vec<Verdict>,
+        registry: &Registry,
+    ) -> Result<Self> {
+        let fits: Vec<FitResult> =
+            calibrations.into_iter().map(|calibration| modelled(calibration, registry)).collect::<Result<_>>()?;
+        Ok(Self {
+            name: String::new(),
+            title: title.to_owned(),
+            fits: shown(fits),
+            verdicts,
+            trends: Vec::new(),
+            acceptance: Vec::new(),
+            record: None,
+            recipe: None,
+        })
+    }
+
     /// The estimate of that name.
     pub fn fit(&self, name: &str) -> Option<&FitResult> {
         self.fits.iter().find(|fit| fit.name == name)
@@ -168,21 +191,26 @@ fn shown(mut fits: Vec<FitResult>) -> Vec<FitResult> {
 /// The file in which `validate: trend` keeps all that it found.
 const TREND: &str = "trend.json";
 
-fn trends_of(outcome: &Outcome) -> Result<Vec<(String, Analysis)>> {
+fn trends_of(outcome: &Outcome) -> Result<Vec<(String, Analysis, Vec<Quality>)>> {
     let is_trend =
         |stage: &str| outcome.verdicts.iter().any(|verdict| verdict.stage == stage && verdict.plugin == "trend");
     let files = outcome.exports.iter().filter(|(stage, _)| is_trend(stage));
     let files = files.flat_map(|(stage, files)| files.iter().map(move |file| (stage, file)));
     let found = files.filter(|(_, file)| file.name == TREND);
-    found.map(|(stage, file)| Ok((stage.clone(), parsed(&String::from_utf8_lossy(&file.content))?))).collect()
+    let trend = |(stage, file): (&String, &ExportedFile)| {
+        let (analysis, quality) = parsed(&String::from_utf8_lossy(&file.content))?;
+        Ok((stage.clone(), analysis, quality))
+    };
+    found.map(trend).collect()
 }
 
-fn trends_in(folder: &Path, record: &RunRecord) -> Result<Vec<(String, Analysis)>> {
+fn trends_in(folder: &Path, record: &RunRecord) -> Result<Vec<(String, Analysis, Vec<Quality>)>> {
     let stages = record.outputs.iter().filter_map(|output| output.file.strip_suffix(TREND)?.strip_suffix('/'));
     let read = |stage: &str| {
         let file = format!("{stage}/{TREND}");
-        let found = parsed(&record.written_text(folder, &file)?).map_err(|error| error.in_file(&folder.join(&file)))?;
-        Ok((stage.to_owned(), found))
+        let text = record.written_text(folder, &file)?;
+        let (analysis, quality) = parsed(&text).map_err(|error| error.in_file(&folder.join(&file)))?;
+        Ok((stage.to_owned(), analysis, quality))
     };
     stages.map(read).collect()
 }
@@ -211,10 +239,11 @@ fn acceptance_in(folder: &Path, record: &RunRecord, verdicts: &[Verdict]) -> Res
     Ok(tables)
 }
 
-fn parsed(text: &str) -> Result<Analysis> {
+fn parsed(text: &str) -> Result<(Analysis, Vec<Quality>)> {
     let wrong = |error: serde_json::Error| Error::data(format!("this is no trend: {error}"));
     let found: serde_json::Value = serde_json::from_str(text).map_err(wrong)?;
-    serde_json::from_value(found["analysis"].clone()).map_err(wrong)
+    let analysis = serde_json::from_value(found["analysis"].clone()).map_err(wrong)?;
+    Ok((analysis, serde_json::from_value(found["quality"].clone()).map_err(wrong)?))
 }
 
 fn unreadable(file: &Path, error: &std::io::Error) -> Error {
@@ -223,11 +252,16 @@ fn unreadable(file: &Path, error: &std::io::Error) -> Error {
 
 fn fit_result(file: &Path, text: &str, registry: &Registry) -> Result<FitResult> {
     let calibration = Calibration::from_json(text).map_err(|error| error.in_file(file))?;
+    modelled(calibration, registry).map_err(|error| error.in_file(file))
+}
+
+/// A calibration with its machine.
+fn modelled(calibration: Calibration, registry: &Registry) -> Result<FitResult> {
     let plugin = registry.find(Kind::Estimate, &calibration.model.plugin);
     let of_readings = plugin.is_ok_and(|plugin| plugin.estimate_source == EstimateSource::Readings);
     let model: Arc<dyn KinematicModel> = match of_readings {
-        true => Arc::new(Quantities::of(&calibration).map_err(|error| error.in_file(file))?),
-        false => model_of(&calibration, registry).map_err(|error| error.in_file(file))?,
+        true => Arc::new(Quantities::of(&calibration)?),
+        false => model_of(&calibration, registry)?,
     };
     Ok(FitResult { name: calibration.estimate.clone(), calibration, model, residuals: Residuals::default() })
 }

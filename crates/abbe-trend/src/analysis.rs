@@ -140,6 +140,9 @@ pub struct ParameterTrend {
     pub seasonal: Option<Seasonal>,
     /// When to measure again.
     pub again: Option<Again>,
+    /// It is no parameter but follows from all of them: the volumetric error.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub derived: bool,
 }
 
 /// Something that happened to the machine.
@@ -337,6 +340,7 @@ fn trend(tests: &[Test], series: &Series, limits: &ChartLimits, settings: &Setti
         left,
         seasonal,
         again,
+        derived: series.derived,
     })
 }
 

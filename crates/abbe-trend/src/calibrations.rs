@@ -78,6 +78,8 @@ pub struct History {
     pub covariances: Vec<Option<DMatrix<f64>>>,
     /// What the tests share.
     pub inputs: Vec<SharedInput>,
+    /// The identities of these inputs.
+    pub identities: Vec<String>,
 }
 
 /// The history of the parameters that fit the patterns, from calibrations in the order of time. `baseline` has the targets: what
@@ -117,6 +119,7 @@ pub fn history(
             .collect(),
         quality,
         covariances: tests.iter().map(covariance).collect(),
+        identities: shared_identities(tests),
         inputs: shared.into_iter().map(|(input, _)| input).collect(),
         series,
     }
@@ -154,13 +157,7 @@ fn target(baseline: &Calibration, name: &str) -> Option<Target> {
 /// The inputs that all tests have, with their standard uncertainties. Sensitivities are means: those of tests of one programme
 /// hardly differ.
 fn shared_inputs(tests: &[Tested<'_>], names: &[(String, String)]) -> Vec<(SharedInput, f64)> {
-    let mut found: BTreeMap<String, Vec<(&Tested<'_>, &ConsideredInput)>> = BTreeMap::new();
-    for test in tests {
-        for input in test.calibration.inputs.iter().flatten() {
-            found.entry(input.identity.clone()).or_default().push((test, input));
-        }
-    }
-    found.retain(|_, inputs| inputs.len() == tests.len() && inputs[0].1.standard_uncertainty > 0.0);
+    let found = inputs_of(tests);
     let sensitivity = |name: &str, inputs: &[(&Tested<'_>, &ConsideredInput)]| {
         let own = |(test, input): &(&Tested<'_>, &ConsideredInput)| {
             let place = test.calibration.covariance.index(name);
@@ -175,4 +172,20 @@ fn shared_inputs(tests: &[Tested<'_>], names: &[(String, String)]) -> Vec<(Share
         (input, first.standard_uncertainty)
     };
     found.into_values().map(shared).collect()
+}
+
+/// Every input that all tests have, by its identity, with the tests.
+fn inputs_of<'a>(tests: &'a [Tested<'a>]) -> BTreeMap<String, Vec<(&'a Tested<'a>, &'a ConsideredInput)>> {
+    let mut found: BTreeMap<String, Vec<(&Tested<'_>, &ConsideredInput)>> = BTreeMap::new();
+    for test in tests {
+        for input in test.calibration.inputs.iter().flatten() {
+            found.entry(input.identity.clone()).or_default().push((test, input));
+        }
+    }
+    found.retain(|_, inputs| inputs.len() == tests.len() && inputs[0].1.standard_uncertainty > 0.0);
+    found
+}
+
+fn shared_identities(tests: &[Tested<'_>]) -> Vec<String> {
+    inputs_of(tests).into_keys().collect()
 }

@@ -9,10 +9,12 @@ mod calibrations;
 mod change;
 mod chart;
 mod events;
+mod follow;
 mod least_squares;
 pub mod run_length;
 mod source;
 mod told;
+mod volumetric;
 
 pub use again::{Again, AgainRule, Forecast, MOST, again};
 pub use analysis::{
@@ -21,5 +23,7 @@ pub use analysis::{
 pub use calibrations::{History, Quality, Tested, history};
 pub use change::{Change, Uncertain};
 pub use chart::{Alarms, ChartDesign, ChartLimits, Charts};
+pub use follow::follow;
 pub use source::{Differences, Explained, SharedInput, explained_by};
 pub use told::{findings, rounded, sentences, unit_factor};
+pub use volumetric::{VOLUMETRIC_LARGEST, VOLUMETRIC_RMS, add_volumetric};

@@ -2,6 +2,9 @@
 //!
 //! A wrong input shifts all parameters in the ratio of their sensitivities to it. If such a shift explains the differences
 //! of all parameters within their uncertainties, the artefact has changed, unless the machine happens to do just the same.
+//!
+//! The recipe states the same value before and after. An artefact that has grown is then stated too small, so that parameters
+//! move against their sensitivities.
 
 use abbe_numerics::chi_squared_upper_tail;
 use nalgebra::{DMatrix, DVector};
@@ -38,7 +41,7 @@ pub struct Explained {
     pub input: String,
     /// Its unit.
     pub unit: String,
-    /// The change of the input that would do it.
+    /// The change of the artefact itself that would do it, while what is stated of it stays.
     pub change: Uncertain,
     /// Probability that what it leaves is chance.
     pub probability: f64,
@@ -71,7 +74,7 @@ pub fn explained_by(differences: &Differences, inputs: &[SharedInput], accepted:
         Some(Explained {
             input: input.name.clone(),
             unit: input.unit.clone(),
-            change: (product / weight, 1.0 / weight.sqrt()).into(),
+            change: (-product / weight, 1.0 / weight.sqrt()).into(),
             probability: chi_squared_upper_tail(left, values.len() as f64 - 1.0),
         })
     };
@@ -95,7 +98,8 @@ mod tests {
     fn a_bar_shifts_all_scales_alike_and_an_axis_does_not() {
         let bar = SharedInput { name: "bar".into(), unit: "mm".into(), sensitivities: vec![2.0, 2.0, 2.0] };
         let found = explained_by(&differences([2.05, 1.96, 2.01]), std::slice::from_ref(&bar), 0.01).unwrap();
-        assert!((found.change.value - 1.0033).abs() < 1e-3 && found.probability > 0.5);
+        // Scales that have grown: the bar has become shorter.
+        assert!((found.change.value + 1.0033).abs() < 1e-3 && found.probability > 0.5);
         assert!((found.change.standard_uncertainty - 0.1 / 12f64.sqrt()).abs() < 1e-12);
         // One scale alone, or scales against each other, are the machine.
         assert_eq!(explained_by(&differences([2.0, 0.0, 0.0]), std::slice::from_ref(&bar), 0.01), None);

@@ -22,7 +22,9 @@ fn people(unit: &str) -> (String, f64) {
 /// All findings about a history.
 pub fn findings(of: &str, history: &History, analysis: &Analysis, changes: Limit) -> Result<Findings> {
     let mut findings = Findings::default();
-    let changed = analysis.parameters.iter().filter(|parameter| is_alarm(parameter.state)).count();
+    // The volumetric error is no parameter: it changes with them.
+    let counts = |parameter: &&ParameterTrend| is_alarm(parameter.state) && !parameter.derived;
+    let changed = analysis.parameters.iter().filter(counts).count();
     let rejected = analysis.tests.iter().filter(|test| !test.good).count();
     // Without a test that counts there is no number of changes, and no limit is kept.
     let changed = if analysis.is_judged() { changed as f64 } else { f64::NAN };
@@ -132,7 +134,7 @@ pub fn sentences(history: &History, analysis: &Analysis) -> Vec<String> {
                     parameter.name
                 ));
             }
-            State::Changed if parameter.left < 1e-4 => told.push(format!(
+            State::Changed if parameter.left < 1e-4 && !parameter.derived => told.push(format!(
                 "{} does more than one change explains (p = {:.1e} of what is left)",
                 parameter.name, parameter.left
             )),
@@ -159,9 +161,10 @@ pub fn sentences(history: &History, analysis: &Analysis) -> Vec<String> {
                     100.0 * again.rule.risk
                 ),
                 (_, Some(after)) => format!(
-                    "{} keeps {limit} {people_unit} with a risk of {} % for {after} {unit}s after {unit} {last}: measure again then",
+                    "{} keeps {limit} {people_unit} with a risk of {} % for {after} {unit}{plural} after {unit} {last}: measure again then",
                     parameter.name,
-                    100.0 * again.rule.risk
+                    100.0 * again.rule.risk,
+                    plural = if after == 1 { "" } else { "s" }
                 ),
                 (_, None) => format!("{} keeps {limit} {people_unit} as far as can be told", parameter.name),
             });

@@ -140,7 +140,7 @@ impl Excerpt {
         let first = line.saturating_sub(1);
         let lines: Vec<&str> = lines(text).skip(first).take(2 + line - first).collect();
         let is_short = |line: &&str| line.chars().nth(LONGEST_LINE).is_none();
-        let text: String = lines.iter().map(|line| format!("{}\n", harmless(line))).collect();
+        let text: String = lines.iter().map(|line| format!("{}\n", harmless(&without_password(line)))).collect();
         lines.iter().all(is_short).then_some(Self { text, first, meant: line - first })
     }
 
@@ -148,6 +148,23 @@ impl Excerpt {
     fn span(&self, column: Option<usize>) -> SourceSpan {
         span_at(&self.text, self.meant + 1, column)
     }
+}
+
+/// A line without the password of an address, wherever it stands in it. Logs and screenshots outlive what was corrected.
+fn without_password(line: &str) -> String {
+    let Some((before, address)) = line.split_once("://") else { return line.to_owned() };
+    let of_user = address.rfind('@').unwrap_or(0);
+    let user = address.find(':').filter(|colon| *colon < of_user);
+    let mut shown = match user {
+        Some(colon) => format!("{before}://{}:…{}", &address[..colon], &address[of_user..]),
+        None => line.to_owned(),
+    };
+    if let Some(place) = shown.to_lowercase().find("password=")
+        && shown.is_char_boundary(place + 9)
+    {
+        shown.replace_range(place + 9.., "…");
+    }
+    shown
 }
 
 /// Lines that end in LF, CRLF or CR.
@@ -210,6 +227,22 @@ pub fn json(error: &Error) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_excerpt_has_no_password() {
+        for (line, shown) in [
+            ("history: postgres://me:secret@plant/abbe", "history: postgres://me:…@plant/abbe"),
+            ("history: postgres://me:a@b:secret@plant/abbe", "history: postgres://me:…@plant/abbe"),
+            (
+                "history: postgres://plant/abbe?user=me&password=secret",
+                "history: postgres://plant/abbe?user=me&password=…",
+            ),
+            ("history: postgres://plant:5433/abbe", "history: postgres://plant:5433/abbe"),
+            ("name: a: b@c", "name: a: b@c"),
+        ] {
+            assert_eq!(without_password(line), shown);
+        }
+    }
 
     #[test]
     fn messages_are_readable() {

@@ -1,4 +1,4 @@
-//! The command line of Abbe: `new`, `run`, `report`, `test`, `check`, `data`, `model`, `explain`, `simulate`, `plan`, `history`, `plugins`, `plugin`, `schema`.
+//! The command line of Abbe: `new`, `run`, `report`, `test`, `check`, `data`, `model`, `explain`, `simulate`, `plan`, `history`, `serve`, `plugins`, `plugin`, `schema`.
 //!
 //! Exit status: 0 no verdict failed (inconclusive verdicts are reported); 1 an error that only the data or the run show; 2 wrong
 //! use, or an error that can be found without reading data rows; 3 a verdict failed; 130 interrupted by Ctrl-C, 143 by SIGTERM,
@@ -30,6 +30,8 @@ mod picture;
 mod planning;
 mod progress;
 mod report;
+#[cfg(feature = "serve")]
+mod serve;
 mod simulated;
 mod summary;
 mod table;
@@ -46,6 +48,7 @@ use abbe_core::{Class, Error, Kind, Monitor, Origin, Result, harmless, harmless_
 use abbe_engine::{Control, can_write_folder, prepare};
 use abbe_plugin::Allowance;
 use abbe_plugin::check::Findings;
+use abbe_recipe::HistoryPlace;
 use abbe_report::plan_page;
 use clap::{Parser, Subcommand};
 use interrupt::seconds;
@@ -176,6 +179,9 @@ enum Command {
     /// Keep the results of runs, and tell what they say about a machine over time.
     #[command(subcommand)]
     History(history::Asked),
+    /// Show a history to browsers on this computer; nothing can be changed there.
+    #[cfg(feature = "serve")]
+    Serve(serve::Serve),
     /// Commands for vendors of plugin libraries.
     Plugin {
         #[command(subcommand)]
@@ -332,6 +338,14 @@ impl Here {
             _ => named.to_owned(),
         }
     }
+
+    /// A history that was named when the command started.
+    fn place(&self, named: &HistoryPlace) -> HistoryPlace {
+        match named {
+            HistoryPlace::File(path) => HistoryPlace::File(self.path(path)),
+            server => server.clone(),
+        }
+    }
 }
 
 /// Carries out a command; gives what to print and the exit status.
@@ -352,8 +366,8 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             let made = report::attach(&mut outcome);
             bar.finish_and_clear();
             let folder = interrupt::while_writing(|| outcome.write(&here.path(&out)))?;
-            if let Some(path) = &prepared.recipe.history {
-                history::add_outcome(&here.path(path), &outcome)?;
+            if let Some(place) = &prepared.recipe.history {
+                history::add_outcome(&here.place(place), &outcome)?;
             }
             let status = match (outcome.failures.is_empty(), outcome.passes()) {
                 (false, _) => 1,
@@ -429,9 +443,11 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             interrupt::cancel_on_signal(Monitor::default())?;
             written(asked.run(&libraries.registry(None)?)?)
         }
+        #[cfg(feature = "serve")]
+        Command::Serve(asked) => asked.run(libraries.registry(None)?),
         Command::History(asked) => {
             interrupt::cancel_on_signal(Monitor::default())?;
-            asked.run()
+            asked.run(libraries)
         }
         Command::Plugin { command: PluginCommand::Check { file, recipe, time_limit, json } } => {
             let program = libraries::this_program()?;

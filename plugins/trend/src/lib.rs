@@ -4,13 +4,13 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    Calibration, Context, Dataset, Error, Findings, Fit, Limit, PathItem, Result, SettingsError, Validate, matches,
-    positive,
+    Calibration, Context, Dataset, Error, Findings, Fit, Limit, PathItem, Result, SettingsError, Validate, positive,
 };
 use abbe_trend::{
-    AgainRule, Analysis, ChartDesign, Forecast, History, Regressor, Settings as Judged, Tested, analyse, findings,
-    history, unit_factor,
+    AgainRule, Analysis, ChartDesign, Forecast, History, Settings as Judged, Tested, add_volumetric, analyse, findings,
+    follow, history, unit_factor,
 };
+use abbe_volumetric::{Grid, within};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -56,6 +56,9 @@ struct Settings {
     /// What parameters are known to follow, by names or patterns of parameters.
     #[serde(default)]
     regressors: BTreeMap<String, Follows>,
+    /// Chart the volumetric error as well, at these poses: `volumetric RMS` and `volumetric largest`.
+    #[serde(default)]
+    volumetric: Option<Grid>,
     /// When to measure again.
     #[serde(default)]
     again: Vec<AgainSetting>,
@@ -79,7 +82,7 @@ struct Follows {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct AgainSetting {
-    /// The parameter.
+    /// The parameter; or `volumetric largest` or `volumetric RMS`, where `volumetric` is given.
     parameter: String,
     /// Its largest admissible size.
     limit: f64,
@@ -164,6 +167,9 @@ fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsE
     between("sum_reference", settings.sum_reference, 0.0, 5.0)?;
     between("rejected_below", settings.rejected_below, 0.0, 1.0)?;
     between("significance", settings.significance, 0.0, 1.0)?;
+    if let Some(grid) = &settings.volumetric {
+        grid.check().map_err(|error| error.under([PathItem::Key("volumetric".to_owned())]))?;
+    }
     if settings.first_tests == 0 {
         return Err(SettingsError::new("first_tests", "a number of at least 1 was expected"));
     }
@@ -198,6 +204,12 @@ impl Validate for Trend {
             let message = "an estimate with `per` was expected: a history has many calibrations";
             return Err(Error::usage(message).setting("of"));
         };
+        let stage = |fit: &Fit| fit.name.split('.').next().unwrap_or_default().to_owned();
+        if let Some(other) = tests.iter().find(|fit| stage(fit) != stage(tests[0])) {
+            let message =
+                format!("one estimate with `per` was expected, not both {} and {}", stage(tests[0]), stage(other));
+            return Err(Error::usage(message).setting("of").help("judge each by a stage `validate: trend` of its own"));
+        }
         if others.len() > 1 {
             let message = "one estimate without `per` at most was expected: the baseline";
             return Err(Error::usage(message).setting("of"));
@@ -205,6 +217,11 @@ impl Validate for Trend {
         let tested: Vec<Tested<'_>> = tests.iter().filter_map(|fit| tested(fit)).collect();
         let baseline = others.first().map(|fit| &fit.calibration);
         let mut found = history(&tested, baseline, &self.settings.parameters, self.settings.rejected_below);
+        if let Some(grid) = &self.settings.volumetric {
+            let model = tests[0].problem.model.as_ref();
+            let statuses = grid.statuses(model).map_err(|error| within(error, &["volumetric"]))?;
+            add_volumetric(&mut found, model, &tested, baseline, &statuses)?;
+        }
         self.follow(&mut found, &group.by, data)?;
         self.rules(&mut found)?;
         let analysis = self.analyse(&group.unit, &found);
@@ -237,35 +254,11 @@ impl Trend {
 
     /// Gives series what they follow. A temperature that is there is tried for the others.
     fn follow(&self, found: &mut History, by: &str, data: &[&Dataset]) -> Result<()> {
-        let labels: Vec<String> = found.tests.iter().map(|test| test.label.clone()).collect();
         for (pattern, follows) in &self.settings.regressors {
-            let wrong = |message: String| {
+            follow(found, by, (pattern, &follows.column, follows.reference), data).map_err(|wrong| {
                 let setting = ["regressors", pattern].map(|key| PathItem::Key(key.to_owned())).to_vec();
-                Error { setting, ..Error::usage(message) }
-            };
-            let values = means(data, &follows.column, by, &labels).ok_or_else(|| {
-                let message =
-                    format!("no data under `from` have the columns `{}` (numbers) and `{by}`", follows.column);
-                wrong(message)
+                Error { setting, ..Error::usage(wrong).help("the data stand under `from`") }
             })?;
-            let unit = unit_of(data, &follows.column);
-            let mut any = false;
-            for series in found.series.iter_mut() {
-                let declared = matches(pattern, &series.name);
-                any |= declared;
-                if declared || series.regressor.is_none() {
-                    series.regressor = Some(Regressor {
-                        name: follows.column.clone(),
-                        unit: unit.clone(),
-                        reference: follows.reference,
-                        values: values.clone(),
-                        declared,
-                    });
-                }
-            }
-            if !any {
-                return Err(wrong(format!("no charted parameter fits `{pattern}`")));
-            }
         }
         Ok(())
     }
@@ -292,25 +285,5 @@ impl Trend {
                 Some(AgainRule { limit: again.limit * factor, risk: again.risk, tests: again.tests, forecast });
         }
         Ok(())
-    }
-}
-
-/// The mean of a column over the rows of each group; none where a group has no row. None without such a column.
-fn means(data: &[&Dataset], column: &str, by: &str, labels: &[String]) -> Option<Vec<Option<f64>>> {
-    let found = data.iter().find_map(|data| Some((data.numbers(column)?, data.labels(by)?)))?;
-    let mean = |label: &String| {
-        let rows = found.0.iter().zip(found.1).filter(|(_, own)| *own == label);
-        let (sum, count) = rows.fold((0.0, 0.0), |(sum, count), (value, _)| (sum + value, count + 1.0));
-        (count > 0.0).then(|| sum / count)
-    };
-    Some(labels.iter().map(mean).collect())
-}
-
-fn unit_of(data: &[&Dataset], column: &str) -> String {
-    let header = data.iter().find_map(|data| data.column(column)).map(|column| column.header.quantity);
-    match header {
-        Some(abbe_core::Quantity::Temperature) => "K".to_owned(),
-        Some(quantity) => quantity.symbol().to_owned(),
-        None => String::new(),
     }
 }

@@ -3,7 +3,17 @@ use std::collections::BTreeSet;
 use abbe_core::{FitReport, ModelRecord, NamedCovariance, Status};
 
 use super::*;
-use crate::schema::first_version;
+use crate::schema::{APPLICATION, SCHEMA_VERSION, first_version, version};
+use rusqlite::Connection;
+use serde_json::json;
+
+fn connection(history: &History) -> &Connection {
+    match &history.kept {
+        Kept::File(file) => &file.connection,
+        #[cfg(feature = "postgres")]
+        Kept::Server(_) => panic!("a file was expected"),
+    }
+}
 
 fn entry(week: usize) -> Entry {
     let known = abbe_core::Estimated {
@@ -75,7 +85,7 @@ fn nothing_stored_can_change() {
         "UPDATE calibration SET at = 0",
         "DELETE FROM calibration",
     ] {
-        let refused = history.connection.execute_batch(statement).unwrap_err().to_string();
+        let refused = connection(&history).execute_batch(statement).unwrap_err().to_string();
         assert!(refused.contains("of a history"), "{refused}");
     }
     assert_eq!(history.entry(1).unwrap(), Some(entry(1)));
@@ -95,11 +105,11 @@ fn an_older_version_is_migrated_and_a_later_one_refused() {
     // A reader changes nothing; a writer brings it up to date and keeps what is there.
     assert_eq!(History::read(&path).unwrap().entries().unwrap().len(), 1);
     let mut history = History::open(&path).unwrap();
-    assert_eq!(version(&history.connection).unwrap(), SCHEMA_VERSION);
+    assert_eq!(version(connection(&history)).unwrap(), SCHEMA_VERSION);
     history.add(&entry(1)).unwrap();
     let recipes: Vec<String> = history.entries().unwrap().into_iter().map(|(_, _, recipe)| recipe).collect();
     assert_eq!(recipes, ["old", "weekly"]);
-    history.connection.pragma_update(None, "user_version", SCHEMA_VERSION + 1).unwrap();
+    connection(&history).pragma_update(None, "user_version", SCHEMA_VERSION + 1).unwrap();
     let refused = History::open(&path).err().unwrap();
     assert!(refused.message.contains("version 3"), "{refused}");
 }

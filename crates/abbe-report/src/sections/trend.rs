@@ -1,14 +1,14 @@
 //! A history: what happened, the charts of all parameters, when to measure again.
 
 use abbe_core::Unit;
-use abbe_trend::{Again, Analysis, Change, ParameterTrend, State, rounded};
+use abbe_trend::{Again, Analysis, Change, ParameterTrend, Quality, State, rounded};
 
 use crate::chart::{Control, control};
 use crate::html::{Cell, details, escape, figure, paragraph, table};
-use crate::number::with_uncertainty;
+use crate::number::{short, with_uncertainty};
 
-/// The section; `remarks` are what the validator said.
-pub fn trend(analysis: &Analysis, remarks: &[String]) -> String {
+/// The section; `remarks` are what the validator said, `quality` tells how good each test is.
+pub fn trend(analysis: &Analysis, quality: &[Quality], remarks: &[String]) -> String {
     let tests = analysis.tests.len();
     let rejected = analysis.tests.iter().filter(|test| !test.good).count();
     let mut html = paragraph(&format!("{tests} tests, {rejected} rejected, {} missing.", analysis.missing.len()));
@@ -38,7 +38,32 @@ pub fn trend(analysis: &Analysis, remarks: &[String]) -> String {
     if !quiet.is_empty() {
         html.push_str(&details(&format!("{} in control", quiet.len()), told.is_empty(), &charts(&quiet)));
     }
-    html
+    html + &tests_table(quality)
+}
+
+/// Every test: whether it counts, and why not.
+fn tests_table(quality: &[Quality]) -> String {
+    let row = |test: &Quality| {
+        let (rank, condition) = (test.rank.to_string(), short(test.condition));
+        let probability = if test.probability < 1e-16 { "below 1e-16".to_owned() } else { short(test.probability) };
+        vec![
+            Cell::text(&test.label),
+            Cell::text(if test.good { "counts" } else { "rejected" }),
+            Cell::figure(test.equations.to_string()),
+            Cell::figure(rank),
+            Cell::figure(condition),
+            Cell::figure(format!("{} of {}", short(test.chi_squared), test.degrees_of_freedom)),
+            Cell::figure(probability),
+        ]
+    };
+    let rows: Vec<Vec<Cell>> = quality.iter().map(row).collect();
+    if rows.is_empty() {
+        return String::new();
+    }
+    let head = ["test", "", "equations", "rank", "condition", "chi-squared", "probability"];
+    let caption =
+        "How good each test is: its chi-squared with the degrees of freedom, and the probability of as much by chance";
+    details(&format!("All {} tests", rows.len()), false, &table(caption, &head, &rows))
 }
 
 fn chart(parameter: &ParameterTrend, analysis: &Analysis) -> String {

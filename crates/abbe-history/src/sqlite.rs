@@ -1,0 +1,173 @@
+//! A history in an SQLite file.
+
+use std::path::{Path, PathBuf};
+
+use abbe_core::{Error, Result};
+use rusqlite::types::{ToSqlOutput, Value as Held};
+use rusqlite::{Connection, OpenFlags, OptionalExtension, Row, ToSql, TransactionBehavior, params};
+
+use crate::PATIENCE;
+use crate::entry::{Added, Written};
+use crate::schema::{APPLICATION, SCHEMA_VERSION, migrate, version};
+use crate::statements::{ADD_CALIBRATION, ADD_ENTRY, Cell, KNOWN};
+
+/// The file.
+pub(crate) struct File {
+    path: PathBuf,
+    pub(crate) connection: Connection,
+}
+
+impl ToSql for Cell {
+    fn to_sql(&self) -> rusqlite::Result<ToSqlOutput<'_>> {
+        match self {
+            Self::Integer(number) => number.to_sql(),
+            Self::Real(number) => number.to_sql(),
+            Self::Text(text) => text.to_sql(),
+        }
+    }
+}
+
+impl File {
+    /// Opens a file to add to it; makes it if it is not there.
+    pub(crate) fn open(path: &Path) -> Result<Self> {
+        let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_CREATE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let mut file = Self::connected(path, flags)?;
+        if file.checked()? < SCHEMA_VERSION {
+            file.bring_up_to_date()?;
+        }
+        Ok(file)
+    }
+
+    /// Brings the tables to the version of this program.
+    fn bring_up_to_date(&mut self) -> Result<()> {
+        let migrated = (|| {
+            let transaction = self.connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
+            migrate(&transaction)?;
+            transaction.commit()
+        })();
+        migrated.map_err(|error| self.failed(&error))
+    }
+
+    /// A new one in memory. Messages name `path`.
+    pub(crate) fn new(path: &Path) -> Result<Self> {
+        let mut file = Self::configured(path, Connection::open_in_memory())?;
+        file.bring_up_to_date()?;
+        Ok(file)
+    }
+
+    /// Writes all of it to an empty file.
+    pub(crate) fn save(&self, empty: &Path) -> Result<()> {
+        let name = empty.to_str().ok_or_else(|| Error::usage(format!("{} is no name in UTF-8", empty.display())))?;
+        let saved = self.connection.execute("VACUUM INTO ?1", [name]);
+        saved.map(drop).map_err(|error| self.failed(&error))
+    }
+
+    /// Opens a file to read it; nothing is changed.
+    pub(crate) fn read(path: &Path) -> Result<Self> {
+        if !path.is_file() {
+            return Err(Error::usage(format!("the history {} does not exist", path.display()))
+                .help("`abbe history add` makes it"));
+        }
+        // SQLite has to be able to write: what a writer left half done when it was killed is undone first.
+        let file = Self::connected(path, OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX)?;
+        file.connection.pragma_update(None, "query_only", true).map_err(|error| file.failed(&error))?;
+        match file.checked()? {
+            0 => Err(Error::usage(format!("{} is empty: it holds no history", path.display()))),
+            _ => Ok(file),
+        }
+    }
+
+    fn connected(path: &Path, flags: OpenFlags) -> Result<Self> {
+        Self::configured(path, Connection::open_with_flags(path, flags))
+    }
+
+    fn configured(path: &Path, connection: rusqlite::Result<Connection>) -> Result<Self> {
+        let failed =
+            |error: rusqlite::Error| Error::usage(format!("the history {} cannot be opened: {error}", path.display()));
+        let connection = connection.map_err(failed)?;
+        connection.busy_timeout(PATIENCE).map_err(failed)?;
+        let file = Self { path: path.to_owned(), connection };
+        let settings = || {
+            // A power failure after an entry was said to be added does not lose it.
+            file.connection.pragma_update(None, "synchronous", "FULL")?;
+            file.connection.pragma_update(None, "foreign_keys", true)
+        };
+        settings().map_err(|error| file.failed(&error))?;
+        Ok(file)
+    }
+
+    /// The version of its tables. Fails for what is no history of this program.
+    fn checked(&self) -> Result<i64> {
+        let found = || -> rusqlite::Result<(i64, i64, i64)> {
+            let application = self.connection.pragma_query_value(None, "application_id", |row| row.get(0))?;
+            let tables = self.connection.query_row("SELECT count(*) FROM sqlite_master", [], |row| row.get(0))?;
+            Ok((application, version(&self.connection)?, tables))
+        };
+        let (application, version, tables) = found().map_err(|error| self.failed(&error))?;
+        if application != APPLICATION && tables > 0 {
+            let message = format!("{} is a data base of something else, not a history", self.path.display());
+            return Err(Error::usage(message).help("name another file"));
+        }
+        crate::schema::known(version, &self.path.display().to_string())
+    }
+
+    fn failed(&self, error: &rusqlite::Error) -> Error {
+        use rusqlite::ErrorCode::{DatabaseBusy, DiskFull, NotADatabase, ReadOnly};
+        let path = self.path.display();
+        match error.sqlite_error_code() {
+            Some(NotADatabase) => Error::usage(format!("{path} is no history")).help("name another file"),
+            Some(DatabaseBusy) => {
+                let message = format!("{path} is being written by another program, for {} s now", PATIENCE.as_secs());
+                Error::data(message).help("try again; nothing was added")
+            }
+            Some(ReadOnly) => Error::usage(format!("{path} cannot be written")).help("nothing was added"),
+            Some(DiskFull) => Error::data(format!("the history {path} cannot be written: the disk is full"))
+                .help("make room, or name a file on another disk; nothing was added"),
+            _ => Error::data(format!("the history {path}: {error}")),
+        }
+    }
+
+    /// Adds an entry in one transaction.
+    pub(crate) fn add(&mut self, written: &Written<'_>) -> Result<Added> {
+        let mut add = || -> rusqlite::Result<Added> {
+            // From here on other writers wait: what is looked up stays so.
+            let transaction = self.connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
+            let known = transaction.query_row(KNOWN, [&written.sha256], |row| row.get(0)).optional()?;
+            if let Some(known) = known {
+                return Ok(Added::Known(known));
+            }
+            let entry = params![written.sha256, written.entry.recipe, written.verdicts, written.evidence];
+            let number: i64 = transaction.query_row(ADD_ENTRY, entry, |row| row.get(0))?;
+            for (stored, content) in written.entry.calibrations.iter().zip(&written.contents) {
+                let estimate = &stored.calibration.estimate;
+                let calibration =
+                    params![number, stored.machine, estimate, stored.label, stored.at, stored.unit, content];
+                transaction.execute(ADD_CALIBRATION, calibration)?;
+            }
+            transaction.commit()?;
+            Ok(Added::New(number))
+        };
+        add().map_err(|error| self.failed(&error))
+    }
+
+    /// The rows that a statement gives.
+    pub(crate) fn rows(&self, statement: &str, given: &[Cell]) -> Result<Vec<Vec<Cell>>> {
+        let row = |row: &Row<'_>| -> rusqlite::Result<Vec<Cell>> {
+            let cell = |index| match row.get(index)? {
+                Held::Integer(number) => Ok(Cell::Integer(number)),
+                Held::Real(number) => Ok(Cell::Real(number)),
+                Held::Text(text) => Ok(Cell::Text(text)),
+                Held::Null | Held::Blob(_) => Ok(Cell::Text(String::new())),
+            };
+            (0..row.as_ref().column_count()).map(cell).collect()
+        };
+        let rows = || -> rusqlite::Result<Vec<Vec<Cell>>> {
+            self.connection.prepare(statement)?.query_map(rusqlite::params_from_iter(given), row)?.collect()
+        };
+        rows().map_err(|error| self.failed(&error))
+    }
+
+    pub(crate) fn name(&self) -> String {
+        self.path.display().to_string()
+    }
+}
