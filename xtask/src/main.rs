@@ -6,6 +6,8 @@
 //! - `cargo xtask campaign controls COUNT SEED`: the laws of `tests/controls` on COUNT random machines each.
 //! - `cargo xtask campaign machines|compensation|tango|bad-inputs|signals|hostile|sizes COUNT SEED`: run a campaign over many random
 //!   cases (`tests/campaigns`).
+//! - `cargo xtask fuzz --executions COUNT --seed SEED [TARGET]`: COUNT inputs for every reader of bytes, or for one, built with the
+//!   checks of debug builds (`tests/campaigns/src/fuzz.rs`; `tests/fuzz` has the same targets for cargo-fuzz).
 //! - `cargo xtask header`: write the C header of the plugin interface.
 //! - `cargo xtask linuxcnc [--create-user]`: run the files for LinuxCNC on LinuxCNC itself, in simulation; it needs a user of its own.
 //! - `cargo xtask schema`: write what follows from the plugins: the schema of recipes and the pages in `docs/plugins`.
@@ -42,6 +44,11 @@ fn main() -> ExitCode {
             tests.env("ABBE_SEEDS", format!("{count} {seed}"));
             run(tests)
         }
+        ["fuzz", "--executions", count, "--seed", seed, targets @ ..] if targets.len() < 2 => {
+            let mut campaign = cargo(&["run", "--locked", "--package", "abbe-campaigns", "--", "fuzz", count, seed]);
+            campaign.args(targets);
+            run(campaign)
+        }
         ["campaign", name, count, seed] => {
             run(cargo(&["run", "--release", "--locked", "--package", "abbe-campaigns", "--", name, count, seed]))
         }
@@ -49,7 +56,7 @@ fn main() -> ExitCode {
         ["linuxcnc"] => linuxcnc::run(false),
         ["linuxcnc", "--create-user"] => linuxcnc::run(true),
         ["schema"] => schema(),
-        _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign NAME COUNT SEED | header | linuxcnc [--create-user] \
+        _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign NAME COUNT SEED | fuzz --executions COUNT --seed SEED [TARGET] | header | linuxcnc [--create-user] \
                      | schema\ncampaigns: controls, machines, compensation, tango, bad-inputs, signals, hostile, sizes; \
                      coverage COUNT"
             .to_owned()),

@@ -32,7 +32,7 @@ const RECIPES: [&str; 7] = [
 const LONGEST: usize = 1 << 16;
 
 /// Numbers that nobody means.
-const NUMBERS: [&str; 28] = [
+pub(crate) const NUMBERS: [&str; 28] = [
     "0",
     "-1",
     "1e12",
@@ -64,7 +64,7 @@ const NUMBERS: [&str; 28] = [
 ];
 
 /// Texts that editors, spreadsheets and attackers leave in files.
-const TEXTS: [&[u8]; 30] = [
+pub(crate) const TEXTS: [&[u8]; 30] = [
     b"\0",
     b"\x1b[2J",
     b"\xc2\x9b31m",

@@ -5,7 +5,7 @@
 
 use std::process::ExitCode;
 
-use abbe_campaigns::{bad_inputs, compensation, hostile, machines, signals, sizes, tango};
+use abbe_campaigns::{bad_inputs, compensation, fuzz, hostile, machines, signals, sizes, tango};
 
 fn main() -> ExitCode {
     if std::env::var_os("ABBE_CAMPAIGN_PROGRAM").is_some() {
@@ -28,10 +28,13 @@ fn main() -> ExitCode {
         (Some("bad-inputs"), Some(count), Some(seed)) => bad_inputs::run(&program, seed, count),
         (Some("signals"), Some(count), Some(seed)) => signals::run(&program, seed, count),
         (Some("hostile"), Some(count), Some(seed)) => hostile::run(&program, seed, count),
+        (Some("fuzz"), Some(count), Some(seed)) => {
+            fuzz::run(seed, count, arguments.get(3).map(String::as_str), "target/fuzz".as_ref())
+        }
         (Some("sizes"), Some(largest), Some(_)) => sizes::run(&program, largest),
         _ => {
             eprintln!(
-                "usage: abbe-campaigns machines|compensation|tango|bad-inputs|signals|hostile|sizes COUNT SEED, or machine CASE SEED FOLDER"
+                "usage: abbe-campaigns machines|compensation|tango|bad-inputs|signals|hostile|sizes COUNT SEED, fuzz COUNT SEED [TARGET], or machine CASE SEED FOLDER"
             );
             return ExitCode::from(2);
         }

@@ -1,6 +1,6 @@
 //! Some cases of each campaign; `cargo xtask campaign` runs them by the thousand.
 
-use abbe_campaigns::{bad_inputs, compensation, hostile, machines, signals, tango};
+use abbe_campaigns::{bad_inputs, compensation, fuzz, hostile, machines, signals, tango};
 
 #[test]
 fn random_machines_keep_the_laws() {
@@ -46,4 +46,18 @@ fn signals_leave_whole_results() {
 fn hostile_surroundings_do_no_harm() {
     let found = hostile::run(PROGRAM.as_ref(), 1, 56);
     assert!(found.broken.is_empty(), "{}", found.text);
+}
+
+/// Every reader gets some hundred inputs, and each takes its seeds: else the campaign would try the first refusal again and again.
+#[test]
+fn bytes_that_nobody_meant_do_no_harm() {
+    let kept = std::env::temp_dir().join("abbe-fuzz");
+    let found = fuzz::run(1, 150, None, &kept);
+    println!("{}", found.text);
+    assert!(found.broken.is_empty(), "{}", found.text);
+    for target in fuzz::targets() {
+        let answers: Vec<_> = target.seeds.iter().map(|seed| target.read(seed)).collect();
+        let is_taken = answers.iter().any(Result::is_ok) || target.name == "plugin-failure";
+        assert!(is_taken, "{} takes none of its seeds: {answers:?}", target.name);
+    }
 }
