@@ -150,7 +150,10 @@ static uint32_t poses(void *handle, const AbbePoses *batch, const AbbeReply *rep
             close(i);
     if (is(bad, "forged") || is(bad, "drip"))
         forge(is(bad, "drip"));
-    const char *done = could(bad);
+    /* Once is enough: a file that was removed cannot be removed again. */
+    static const char *done;
+    if (!done)
+        done = could(bad);
     if (done) {
         say(reply, done);
         return ABBE_FAILED;

@@ -4,6 +4,7 @@
 //! - `cargo xtask bench [--save]`: run the benchmarks, compare with (or write) `benches/baseline.json`.
 //! - `cargo xtask campaign coverage SETS`: whether intervals cover the truth, in SETS simulated measurements each (`tests/coverage.rs`).
 //! - `cargo xtask campaign controls COUNT SEED`: the laws of `tests/controls` on COUNT random machines each.
+//! - `cargo xtask campaign faults all`: let every system call that writes fail, one by one (`tests/faults.rs`).
 //! - `cargo xtask campaign machines|compensation|tango|bad-inputs|signals|hostile|sizes COUNT SEED`: run a campaign over many random
 //!   cases (`tests/campaigns`).
 //! - `cargo xtask fuzz --executions COUNT --seed SEED [TARGET]`: COUNT inputs for every reader of bytes, or for one, built with the
@@ -39,6 +40,11 @@ fn main() -> ExitCode {
             tests.env("ABBE_COVERAGE_SETS", sets);
             run(tests)
         }
+        ["campaign", "faults", "all"] => {
+            let mut tests = cargo(&["test", "--locked", "--package", "abbe-tests", "--", "--nocapture", "faults::"]);
+            tests.env("ABBE_FAULTS", "all");
+            run(tests)
+        }
         ["campaign", "controls", count, seed] => {
             let mut tests = cargo(&["test", "--release", "--locked", "--package", "abbe-tests", "--", "controls::"]);
             tests.env("ABBE_SEEDS", format!("{count} {seed}"));
@@ -58,7 +64,7 @@ fn main() -> ExitCode {
         ["schema"] => schema(),
         _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign NAME COUNT SEED | fuzz --executions COUNT --seed SEED [TARGET] | header | linuxcnc [--create-user] \
                      | schema\ncampaigns: controls, machines, compensation, tango, bad-inputs, signals, hostile, sizes; \
-                     coverage COUNT"
+                     coverage COUNT; faults all"
             .to_owned()),
     };
     match outcome {

@@ -78,7 +78,14 @@ fn temporary(parent: &Path) -> io::Result<tempfile::TempDir> {
         .prefix(PREFIX)
         .rand_bytes(RANDOM)
         .tempdir_in(parent)
-        .map_err(|error| io::Error::from(error.kind()))
+        .map_err(|error| bare(&error))
+}
+
+/// An error without the path that it names.
+fn bare(error: &io::Error) -> io::Error {
+    let inner = error.get_ref().and_then(|inner| inner.source()).and_then(|inner| inner.downcast_ref::<io::Error>());
+    let number = error.raw_os_error().or_else(|| inner?.raw_os_error());
+    number.map_or_else(|| io::Error::from(error.kind()), io::Error::from_raw_os_error)
 }
 
 /// The error that results cannot be written.

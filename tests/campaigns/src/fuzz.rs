@@ -64,6 +64,17 @@ pub fn target(name: &str) -> Target {
     found.unwrap_or_else(|| panic!("there is no target `{name}`"))
 }
 
+/// Writes the seeds of all targets, a folder for each.
+pub fn write_seeds(folder: &Path) {
+    for target in targets() {
+        let own = folder.join(&target.name);
+        std::fs::create_dir_all(&own).expect("a folder");
+        for (number, seed) in target.seeds.iter().enumerate() {
+            std::fs::write(own.join(number.to_string()), seed).expect("a seed can be written");
+        }
+    }
+}
+
 /// Runs `count` inputs on each target, or on that of a name. What breaks a law is kept in `kept`, a folder.
 pub fn run(seed: u64, count: u64, name: Option<&str>, kept: &Path) -> Report {
     let (mut text, mut broken, mut all) = (String::new(), Vec::new(), 0);

@@ -20,6 +20,10 @@ fn main() -> ExitCode {
         machines::write(seed, case, folder.as_ref());
         return ExitCode::SUCCESS;
     }
+    if let (Some("fuzz-seeds"), Some(folder)) = (arguments.first().map(String::as_str), arguments.get(1)) {
+        fuzz::write_seeds(folder.as_ref());
+        return ExitCode::SUCCESS;
+    }
     let program = std::env::current_exe().expect("this program has a file");
     let report = match (arguments.first().map(String::as_str), number(1), number(2)) {
         (Some("machines"), Some(count), Some(seed)) => machines::run(seed, count),
@@ -34,7 +38,7 @@ fn main() -> ExitCode {
         (Some("sizes"), Some(largest), Some(_)) => sizes::run(&program, largest),
         _ => {
             eprintln!(
-                "usage: abbe-campaigns machines|compensation|tango|bad-inputs|signals|hostile|sizes COUNT SEED, fuzz COUNT SEED [TARGET], or machine CASE SEED FOLDER"
+                "usage: abbe-campaigns machines|compensation|tango|bad-inputs|signals|hostile|sizes COUNT SEED, fuzz COUNT SEED [TARGET], fuzz-seeds FOLDER, or machine CASE SEED FOLDER"
             );
             return ExitCode::from(2);
         }

@@ -33,7 +33,7 @@ pub fn targets() -> Vec<Target> {
         ("inspection-g800", json!({ "units": "mm" })),
         ("dmis-output", json!({})),
         ("qif-results", json!({})),
-        ("iso230-dat", json!({})),
+        ("iso230-dat", json!({ "values": "positions", "units": "mm" })),
         ("probe-csv", json!({ "units": "mm" })),
     ] {
         let mut settings = json!({ "path": "input" });
