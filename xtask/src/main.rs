@@ -9,6 +9,8 @@
 //!   cases (`tests/campaigns`).
 //! - `cargo xtask fuzz --executions COUNT --seed SEED [TARGET]`: COUNT inputs for every reader of bytes, or for one, built with the
 //!   checks of debug builds (`tests/campaigns/src/fuzz.rs`; `tests/fuzz` has the same targets for cargo-fuzz).
+//! - `cargo xtask mutate --runs COUNT --seed SEED`: recipes and their data with random mistakes: `campaign bad-inputs`, built with the
+//!   checks of debug builds.
 //! - `cargo xtask header`: write the C header of the plugin interface.
 //! - `cargo xtask linuxcnc [--create-user]`: run the files for LinuxCNC on LinuxCNC itself, in simulation; it needs a user of its own.
 //! - `cargo xtask schema`: write what follows from the plugins: the schema of recipes and the pages in `docs/plugins`.
@@ -40,6 +42,10 @@ fn main() -> ExitCode {
             tests.env("ABBE_COVERAGE_SETS", sets);
             run(tests)
         }
+        ["mutate", "--runs", count, "--seed", seed] => {
+            let campaign = ["run", "--locked", "--package", "abbe-campaigns", "--", "bad-inputs", count, seed];
+            run(cargo(&campaign))
+        }
         ["campaign", "faults", "all"] => {
             let mut tests = cargo(&["test", "--locked", "--package", "abbe-tests", "--", "--nocapture", "faults::"]);
             tests.env("ABBE_FAULTS", "all");
@@ -62,7 +68,7 @@ fn main() -> ExitCode {
         ["linuxcnc"] => linuxcnc::run(false),
         ["linuxcnc", "--create-user"] => linuxcnc::run(true),
         ["schema"] => schema(),
-        _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign NAME COUNT SEED | fuzz --executions COUNT --seed SEED [TARGET] | header | linuxcnc [--create-user] \
+        _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign NAME COUNT SEED | fuzz --executions COUNT --seed SEED [TARGET] | mutate --runs COUNT --seed SEED | header | linuxcnc [--create-user] \
                      | schema\ncampaigns: controls, machines, compensation, tango, bad-inputs, signals, hostile, sizes; \
                      coverage COUNT; faults all"
             .to_owned()),

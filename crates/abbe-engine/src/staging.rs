@@ -81,11 +81,11 @@ fn temporary(parent: &Path) -> io::Result<tempfile::TempDir> {
         .map_err(|error| bare(&error))
 }
 
-/// An error without the path that it names.
+/// An error without the path that `tempfile` names.
 fn bare(error: &io::Error) -> io::Error {
-    let inner = error.get_ref().and_then(|inner| inner.source()).and_then(|inner| inner.downcast_ref::<io::Error>());
-    let number = error.raw_os_error().or_else(|| inner?.raw_os_error());
-    number.map_or_else(|| io::Error::from(error.kind()), io::Error::from_raw_os_error)
+    let text = error.to_string();
+    let reason = text.split(" at path ").next().unwrap_or_default().to_owned();
+    io::Error::new(error.kind(), reason)
 }
 
 /// The error that results cannot be written.

@@ -231,13 +231,13 @@ impl Asked<'_> {
         let failed = |error: std::io::Error| cannot_be_written(out, &error);
         let file = temporary_file(folder).map_err(failed)?;
         let mut writer = Remembering { into: BufWriter::new(file.as_file()), error: None };
-        let summary = compensate(&mut source, &mut writer, build, options);
+        let summary = compensate(&mut source, &mut writer, build, options)
+            .and_then(|summary| writer.flush().map(|()| summary).map_err(failed));
         // What cannot be written is told of the file, and not of the program.
         if let Some(error) = writer.error.take() {
             return Err(failed(error));
         }
         let summary = summary?;
-        writer.flush().map_err(failed)?;
         drop(writer);
         if interrupt::happened() {
             return Err(Error::interrupted());
