@@ -54,7 +54,11 @@ fn injected(injector: &Path, folder: &Path, kind: &str, number: usize, arguments
     let said = [output.stdout, output.stderr].map(|said| String::from_utf8_lossy(&said).into_owned()).concat();
     // Long lines are folded between words.
     let said = said.replace(['│', '╰', '─'], " ").split_whitespace().collect::<Vec<_>>().join(" ");
-    Ended { status: output.status.code(), call: fs::read_to_string(&report).unwrap_or_default().trim().to_owned(), said }
+    Ended {
+        status: output.status.code(),
+        call: fs::read_to_string(&report).unwrap_or_default().trim().to_owned(),
+        said,
+    }
 }
 
 /// What is in a folder.
@@ -64,7 +68,8 @@ fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 
 /// The same files, but for times of runs, which change the length hardly.
 fn is_alike(one: &BTreeMap<PathBuf, Vec<u8>>, other: &BTreeMap<PathBuf, Vec<u8>>) -> bool {
-    one.keys().eq(other.keys()) && one.values().zip(other.values()).all(|(one, other)| one.len().abs_diff(other.len()) < 64)
+    one.keys().eq(other.keys())
+        && one.values().zip(other.values()).all(|(one, other)| one.len().abs_diff(other.len()) < 64)
 }
 
 fn copy(from: &Path, to: &Path) {
@@ -89,7 +94,10 @@ fn cases(small: &Small) -> Vec<Case> {
     write(&small.path("template/recipe.expected"), "format 1\nrun = fail\n");
     small.write("truth.json", "{ \"parameters\": {} }");
     small.write("points.csv", "X_mm,Y_mm,Z_mm,B_deg,C_deg,dir_X\n0,0,300,0,0,1\n10,5,297,0,0,1\n20,9,295,0,0,1\n");
-    small.write("part.ngc", &"G21 G90 G17\nG0 X0 Y0 Z300 B0 C0\nG1 X10 F500\nG1 Y9 Z297\nM2\n".replace("M2", &"G1 X1\nG1 X2\n".repeat(400)));
+    small.write(
+        "part.ngc",
+        &"G21 G90 G17\nG0 X0 Y0 Z300 B0 C0\nG1 X10 F500\nG1 Y9 Z297\nM2\n".replace("M2", &"G1 X1\nG1 X2\n".repeat(400)),
+    );
     small.write("recipe.yaml", &small.read("recipe.yaml").replace("step_mm: 100", "step_mm: 50"));
     assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "other"]).status, 0);
     let fine = "known/recipe/fine.calibration.json";
@@ -97,11 +105,17 @@ fn cases(small: &Small) -> Vec<Case> {
     vec![
         case("run", &["run", "recipe.yaml", "--out", "disk"]),
         case("run to a new folder", &["run", "recipe.yaml", "--out", "disk/new"]),
-        case("simulate", &["simulate", "recipe.yaml", "--truth", "truth.json", "--seed", "1", "--out", "disk/simulated"]),
+        case(
+            "simulate",
+            &["simulate", "recipe.yaml", "--truth", "truth.json", "--seed", "1", "--out", "disk/simulated"],
+        ),
         case("test --accept", &["test", "disk/recipe.yaml", "--accept"]),
         case("report", &["report", "known/recipe", "--out", "disk/page.html"]),
         case("compensate set-points", &["compensate", fine, "points.csv", "--out", "disk/new.csv"]),
-        case("compensate a program", &["compensate", fine, "part.ngc", "--dialect", "linuxcnc", "--out", "disk/new.ngc"]),
+        case(
+            "compensate a program",
+            &["compensate", fine, "part.ngc", "--dialect", "linuxcnc", "--out", "disk/new.ngc"],
+        ),
         Case {
             name: "history add",
             arguments: vec!["history", "add", "disk/plant.sqlite", "other/recipe", "--date", "2026-02-03"],
@@ -122,7 +136,8 @@ fn writing_that_fails_at_any_call_leaves_old_results_or_new_ones() {
     const TEST: &str = "writing_that_fails_at_any_call_leaves_old_results_or_new_ones";
     let small = Small::new();
     let injector = small.path("inject");
-    let built = Command::new("cc").arg("-O1").arg(root().join("tests/faults/inject.c")).arg("-o").arg(&injector).status();
+    let built =
+        Command::new("cc").arg("-O1").arg(root().join("tests/faults/inject.c")).arg("-o").arg(&injector).status();
     assert!(built.expect("the C compiler runs").success());
     let every = std::env::var_os("ABBE_FAULTS").is_some();
     let (mut runs, mut broken) = (0, Vec::new());
@@ -149,7 +164,10 @@ fn writing_that_fails_at_any_call_leaves_old_results_or_new_ones() {
                 let mut law = |holds: bool, what: &str| {
                     if !holds {
                         let Ended { status, call, said } = &found;
-                        broken.push(format!("{}, {kind} at call {number} ({call}): {what}; {status:?} {said}", case.name));
+                        broken.push(format!(
+                            "{}, {kind} at call {number} ({call}): {what}; {status:?} {said}",
+                            case.name
+                        ));
                     }
                 };
                 let after = contents(&small.path("disk"));
@@ -160,7 +178,10 @@ fn writing_that_fails_at_any_call_leaves_old_results_or_new_ones() {
                 law(!found.said.contains("panicked"), "a panic");
                 if case.is_history {
                     let now = told(&small);
-                    law(if is_done { now == new } else { now == old || now == new }, "the history is neither old nor new");
+                    law(
+                        if is_done { now == new } else { now == old || now == new },
+                        "the history is neither old nor new",
+                    );
                 } else {
                     // What could not be put in its place, or be removed, has a name of its own, and the message tells it.
                     let own = |file: &PathBuf| {

@@ -223,7 +223,8 @@ fn wrong_counts_are_refused() {
 fn a_library_that_is_overwritten_runs_as_it_was_hashed() {
     let folder = temporary();
     let file = bad(folder.path(), "bad", &[]);
-    let (whole, other) = (fs::read(&file).expect("a library"), fs::read(bad(folder.path(), "other", &["-DMODE=\"nan\""])));
+    let (whole, other) =
+        (fs::read(&file).expect("a library"), fs::read(bad(folder.path(), "other", &["-DMODE=\"nan\""])));
     let other = other.expect("a library");
     assert_ne!(whole, other);
     let pin = abbe_plugin::isolated(&file, None, &limits(10.0)).expect("it is listed").sha256;
@@ -265,8 +266,25 @@ fn every_attack_of_the_page_has_a_test() {
         assert!(code.contains(&format!("#[test]\nfn {named}() {{")), "{row}: there is no test `{named}`");
     }
     let attacks = [
-        "wrong address", "abort", "stack", "constructor", "create", "call", "slow", "memory", "processes", "signals",
-        "read files", "write", "network", "standard output", "descriptors", "directory", "exit", "round", "counts",
+        "wrong address",
+        "abort",
+        "stack",
+        "constructor",
+        "create",
+        "call",
+        "slow",
+        "memory",
+        "processes",
+        "signals",
+        "read files",
+        "write",
+        "network",
+        "standard output",
+        "descriptors",
+        "directory",
+        "exit",
+        "round",
+        "counts",
         "replaced",
     ];
     for attack in attacks {

@@ -74,11 +74,7 @@ pub(crate) fn can_write(parent: &Path, out: &Path) -> Result<()> {
 
 /// A new temporary folder. The error does not name it: nobody knows it.
 fn temporary(parent: &Path) -> io::Result<tempfile::TempDir> {
-    tempfile::Builder::new()
-        .prefix(PREFIX)
-        .rand_bytes(RANDOM)
-        .tempdir_in(parent)
-        .map_err(|error| bare(&error))
+    tempfile::Builder::new().prefix(PREFIX).rand_bytes(RANDOM).tempdir_in(parent).map_err(|error| bare(&error))
 }
 
 /// An error without the path that `tempfile` names.

@@ -131,13 +131,7 @@ impl Connection {
     }
 
     /// Works on a question of the other side and writes the answer.
-    fn answer(
-        self: &Arc<Self>,
-        wire: &mut Wire,
-        question: Frame,
-        numbers: &[f64],
-        started: Instant,
-    ) -> io::Result<()> {
+    fn answer(self: &Arc<Self>, wire: &mut Wire, question: Frame, numbers: &[f64], started: Instant) -> io::Result<()> {
         if let Frame::Release { object } = question {
             locked(&self.objects).served.remove(&object);
             return Ok(());

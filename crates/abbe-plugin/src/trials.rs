@@ -5,9 +5,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use abbe_core::{
-    Equations, ErrorFunction, Findings, Ingest, Origin, Poses, RowBatch, Validate, Variable, harmless,
-};
+use abbe_core::{Equations, ErrorFunction, Findings, Ingest, Origin, Poses, RowBatch, Validate, Variable, harmless};
 
 use crate::loader::{Create, truncated};
 use crate::peer::{Answer, Failure, Peer, Received};
@@ -50,7 +48,8 @@ pub fn answer(text: &str) -> Result<(), String> {
     if let Ok(machine) = &machine {
         let (info, mut out) = (machine.info(), Poses::default());
         let _ = machine.poses(&vec![0.0; info.status.len()], &info.nominal, &[], true, &mut out);
-        let function = ErrorFunction { symbol: "EXX".to_owned(), axis: 0, component: 0, quantity: abbe_core::Quantity::Length };
+        let function =
+            ErrorFunction { symbol: "EXX".to_owned(), axis: 0, component: 0, quantity: abbe_core::Quantity::Length };
         let _ = machine.motion_error(&function, &info.nominal, &vec![0.0; info.status.len()]);
     }
     taken.push(machine.map(drop));

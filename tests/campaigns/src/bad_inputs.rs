@@ -343,7 +343,9 @@ fn place(ended: &Ended, source: &Source) -> Place {
     let mut found = Place::Nowhere;
     for name in names {
         for (at, _) in said.match_indices(&*name) {
-            let is_line = said[at + name.len()..].strip_prefix(':').is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
+            let is_line = said[at + name.len()..]
+                .strip_prefix(':')
+                .is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
             if is_line {
                 return Place::Line;
             }

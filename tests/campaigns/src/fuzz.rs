@@ -31,13 +31,16 @@ const SLOW: Duration = Duration::from_secs(10);
 /// Whether an input was taken, or why it was refused.
 pub type Answer = Result<(), String>;
 
+/// Reads an input.
+type Read = Box<dyn Fn(&[u8]) -> Answer>;
+
 /// Something that reads bytes.
 pub struct Target {
     /// Its name.
     pub name: String,
     /// Inputs to begin with.
     pub seeds: Vec<Vec<u8>>,
-    read: Box<dyn Fn(&[u8]) -> Answer>,
+    read: Read,
 }
 
 impl Target {

@@ -33,7 +33,8 @@ pub(super) fn computes(library: &Library, findings: &mut Findings) {
         } else if known.windows(2).all(|pair| pair[0] == pair[1]) {
             findings.wrong(format!("`{name}` computes nothing: the tip is at the same place for all commands"));
         }
-        let pairs: Vec<_> = found.iter().zip(&without_errors).filter_map(|(one, other)| Some((*one)? == (*other)?)).collect();
+        let pairs: Vec<_> =
+            found.iter().zip(&without_errors).filter_map(|(one, other)| Some((*one)? == (*other)?)).collect();
         if !values.is_empty() && !pairs.is_empty() && pairs.iter().all(|is_same| *is_same) {
             findings.wrong(format!("`{name}`: no parameter changes any position"));
         }

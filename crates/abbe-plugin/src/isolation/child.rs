@@ -7,8 +7,8 @@ use std::sync::{Arc, Mutex, OnceLock};
 
 use abbe_core::{Context, Error, Kind, Result};
 
-use super::wire::{Frame, Wire};
 use super::time::Time;
+use super::wire::{Frame, Wire};
 use super::{Connection, Listed, locked};
 use crate::loader::{About, Library, hashed, load_sealed};
 use crate::peer::Failure;

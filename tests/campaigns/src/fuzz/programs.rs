@@ -5,14 +5,16 @@ use std::sync::Arc;
 
 use abbe_compensation::Settings;
 use abbe_controllers::{Dialect, Machine, Options, Tools, compensate};
-use abbe_core::{Build, Context, KinematicModel, Kind, Registry};
+use abbe_core::{Build, Context, Kind, KinematicModel, Registry};
 use serde_json::json;
 
 use super::Target;
 use super::seeds::{folder, texts};
 use super::texts::text;
 
-const PLAIN: [&str; 3] = [
+const PLAIN: [&str; 5] = [
+    "G21 G17 G90 G54\nG0 X0. Y0. Z60.\nG1 Z55. F500.\nG2 X10. Y0. I5. J0.\nG91\nG1 X1.5 Y-2.\nG90\nG3 X0. Y0. Z50. R8.\nM30\n",
+    "; mill\nG71 G17 G90 G54\nG0 X0. Y0. Z60.\nG1 Z55. F500.\nG2 X10. Y0. I5. J0.\nG1 X=5.5 Y2\nM30\n",
     "G21 G90 G17\nG0 X10 Y10 Z50\nG1 X20 Y-5 Z10 F500\nG2 X30 Y5 I10 J0\nG3 X20 Y-5 R14 Z12\nG91\nG1 X1\nM30\n",
     "N10 G54\nN20 T1 M6\nN30 G43 H1\nN40 G1 X1.5Y2Z3 F100\nN50 G93 G1 X2 F10\nN60 G18 G2 X5 Z5 R4\nN70 G92.1\nM2\n",
     "0 BEGIN PGM T MM\n1 L X+10 Y+10 Z+50 R0 FMAX\n2 L X+20 Y+0 F500\n3 CC X+0 Y+0\n4 C X+0 Y+20 DR+\n5 L IX-1.5\n6 END PGM T MM\n",

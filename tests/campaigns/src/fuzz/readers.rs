@@ -6,9 +6,9 @@ use std::path::Path;
 use abbe_core::{Build, Context, Kind, Registry, Values};
 use serde_json::{Value, json};
 
+use super::Target;
 use super::seeds::{file, folder};
 use super::texts::text;
-use super::Target;
 
 const LOG: &str = "pipelines/data/linuxcnc-probing/balls/measured.log";
 const PLAN: &str = "pipelines/data/linuxcnc-probing/balls/plan.csv";

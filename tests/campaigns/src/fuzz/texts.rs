@@ -27,17 +27,27 @@ pub fn targets() -> Vec<Target> {
     let mut recipes = folder("pipelines", &[".yaml"]);
     recipes.extend(folder("tests/frozen", &[".yaml"]));
     let mut calibrations = folder("tests/frozen", &["calibration-1.json", "selected.json", "trials.json"]);
-    calibrations.push(br#"{"abbe_calibration":1,"estimate":"fit","model":{"plugin":"m","settings":{}},"parameters":[]}"#.to_vec());
+    calibrations.push(
+        br#"{"abbe_calibration":1,"estimate":"fit","model":{"plugin":"m","settings":{}},"parameters":[]}"#.to_vec(),
+    );
     vec![
         Target::new("recipe", recipes, recipe(Registry::built_in().expect("plugins"))),
         Target::new("chain", chains(), |input| answer(StructuralLoop::from_str(&text(input)))),
-        Target::new("pattern", texts(["E*[1]\nEXX[1]", "ball[?].*\nball[3].x", "E??\nEC0B", "*\n", "[[*]\n[]"]), pattern),
-        Target::new("unit", texts(["um_per_m", "X_mm", "per_K", "mm/mm", "rad/mm2", "B_deg", "F_mm_per_min", "-3.5e-2", "12"]), |input| {
-            let text = text(input);
-            let _ = Unit::from_str(&text).map(|unit| unit.to_string());
-            let _ = abbe_table::number(&text, "1.5");
-            answer(abbe_table::number("X_mm", &text))
-        }),
+        Target::new(
+            "pattern",
+            texts(["E*[1]\nEXX[1]", "ball[?].*\nball[3].x", "E??\nEC0B", "*\n", "[[*]\n[]"]),
+            pattern,
+        ),
+        Target::new(
+            "unit",
+            texts(["um_per_m", "X_mm", "per_K", "mm/mm", "rad/mm2", "B_deg", "F_mm_per_min", "-3.5e-2", "12"]),
+            |input| {
+                let text = text(input);
+                let _ = Unit::from_str(&text).map(|unit| unit.to_string());
+                let _ = abbe_table::number(&text, "1.5");
+                answer(abbe_table::number("X_mm", &text))
+            },
+        ),
         Target::new("calibration", calibrations, calibration),
         Target::new("truth", folder("tests/truth", &[".json"]), |input| {
             answer(Truth::parse(Path::new("truth.json"), &text(input)))
