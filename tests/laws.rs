@@ -201,3 +201,32 @@ fn a_derivative_with_the_wrong_sign_breaks_a_law() {
     assert!(!broken.is_empty());
     assert!(broken.iter().all(|law| law.contains("the derivative to z of the tip of pose 0")), "{broken:#?}");
 }
+
+/// Observations that compute nothing, whatever the machine does.
+struct Nothing(std::sync::Arc<dyn abbe_core::Observations>);
+
+impl abbe_core::Observations for Nothing {
+    fn info(&self) -> &abbe_core::ObservationsInfo {
+        self.0.info()
+    }
+
+    fn evaluate(&self, batch: abbe_core::RowBatch<'_>, out: &mut abbe_core::Equations) -> abbe_core::Result<()> {
+        for &row in batch.rows {
+            for _ in 0..self.info().layout.rows[row].equations {
+                out.equation(0.0);
+                (0..self.info().layout.rows[row].poses).for_each(|_| out.position([0.0; 3]));
+            }
+        }
+        Ok(())
+    }
+}
+
+#[test]
+fn observations_that_compute_nothing_break_a_law() {
+    let outcome = Variant::of(&recipes()["first-steps"]).run();
+    let mut problem = abbe_core::Problem::clone(&outcome.fits[0].problem);
+    problem.sets[0].observations = std::sync::Arc::new(Nothing(problem.sets[0].observations.clone()));
+    let broken =
+        abbe_estimation::laws::check_observations(&problem, abbe_core::SetIndex(0)).expect("the machine has poses");
+    assert_eq!(broken, ["no equation depends on a position, an orientation, an unknown or an input"]);
+}

@@ -15,6 +15,7 @@ mod data;
 mod decisions;
 mod errors;
 mod facets;
+mod faults;
 mod files;
 mod first_order;
 mod frozen;

@@ -158,6 +158,7 @@ fn border(criterion: &mut Criterion) {
         program: folder.join("abbe"),
         arguments: ["plugin", "serve"].map(str::to_owned).to_vec(),
         answer_timeout: Duration::from_secs(60),
+        total_time: Duration::from_secs(3600),
         memory_limit_mib: abbe_plugin::MEMORY_LIMIT_MIB,
     };
     let fits = fits("tango-hu40t-exact.yaml").unwrap_or_else(|error| panic!("{error}"));

@@ -1,13 +1,16 @@
 /* A plugin library that does what none should. How the library as a whole is wrong is chosen when it is compiled (LIBRARY_...),
- * what its model does wrong by its setting `mode`. After `away-` it does so only where a parameter is not zero, and writes on
+ * what its model does wrong by its setting `mode`. It starts one process at most, and touches none of the memory that it asks for. After `away-` it does so only where a parameter is not zero, and writes on
  * standard error every time that it is asked there. */
+#define _GNU_SOURCE
 #include <fcntl.h>
 #include <fenv.h>
 #include <math.h>
 #include <signal.h>
+#include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
@@ -18,9 +21,10 @@
 typedef struct {
     char mode[32];
     int away;
+    int is_stage;
 } Bad;
 
-static const Bad GOOD = { "good", 0 };
+static const Bad GOOD = { "good", 0, 0 };
 
 static void say(const AbbeReply *reply, const char *text)
 {
@@ -44,6 +48,15 @@ static const char *could(const Bad *bad)
         return open("written-by-a-plugin", O_WRONLY | O_CREAT, 0600) >= 0 ? "write a file" : NULL;
     if (is(bad, "change"))
         return chmod("recipe.yaml", 0400) == 0 ? "change a file" : NULL;
+    /* Its setting names this file, so that it may be read. */
+    if (is(bad, "truncate"))
+        return open("truncate", O_RDONLY | O_TRUNC) >= 0 ? "empty a file" : NULL;
+    if (is(bad, "open-to-write"))
+        return open("open-to-write", O_RDWR) >= 0 ? "open a file to write" : NULL;
+    if (is(bad, "remove"))
+        return unlink("remove") == 0 ? "remove a file" : NULL;
+    if (is(bad, "rename"))
+        return rename("rename", "renamed") == 0 ? "rename a file" : NULL;
     if (is(bad, "network"))
         return socket(AF_INET, SOCK_STREAM, 0) >= 0 ? "open a socket" : NULL;
     if (is(bad, "fork")) {
@@ -54,6 +67,14 @@ static const char *could(const Bad *bad)
     }
     if (is(bad, "signal"))
         return kill(getppid(), SIGWINCH) == 0 ? "signal to another process" : NULL;
+    if (is(bad, "signal-group"))
+        return kill(0, SIGWINCH) == 0 ? "signal to a group of processes" : NULL;
+    if (is(bad, "signal-later"))
+        return fcntl(0, F_SETOWN, getppid()) == 0 ? "have signals sent to another process" : NULL;
+    if (is(bad, "shared-memory")) {
+        void *much = mmap(NULL, (size_t)3 << 30, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+        return much != MAP_FAILED ? "have 3 GiB of shared memory" : NULL;
+    }
     if (is(bad, "memory")) {
         size_t size = (size_t)3 << 30;
         char *volatile much = malloc(size);
@@ -62,6 +83,25 @@ static const char *could(const Bad *bad)
     if (is(bad, "environment"))
         return getenv("PATH") ? "read the environment" : NULL;
     return NULL;
+}
+
+static uint64_t deep(uint64_t n)
+{
+    volatile char room[4096];
+    room[n % sizeof room] = 1;
+    return n == UINT64_MAX ? 0 : deep(n + 1) + room[n % sizeof room];
+}
+
+/* Writes on the socket of an isolated plugin: a frame that is none, or one that never ends. */
+static void forge(int drips)
+{
+    unsigned char head[16];
+    memset(head, drips ? 0 : 0xff, sizeof head);
+    head[1] = 0xff;
+    if (write(0, head, sizeof head) < 0)
+        return;
+    while (drips && write(0, " ", 1) == 1)
+        usleep(50000);
 }
 
 static uint32_t poses(void *handle, const AbbePoses *batch, const AbbeReply *reply)
@@ -84,11 +124,38 @@ static uint32_t poses(void *handle, const AbbePoses *batch, const AbbeReply *rep
         *nowhere = 1;
     if (is(bad, "exit"))
         exit(0);
+    if (is(bad, "quick-exit"))
+        _exit(0);
+    if (is(bad, "exec"))
+        execl("/bin/true", "true", (char *)NULL);
+    if (is(bad, "stack"))
+        deep(batch->value_count);
     if (is(bad, "hang"))
         for (;;)
             usleep(1000);
-    if (could(bad)) {
-        say(reply, could(bad));
+    if (is(bad, "slow"))
+        usleep(400000);
+    if (is(bad, "stdout")) {
+        puts("{\"garbage\": true}");
+        fflush(stdout);
+    }
+    if (is(bad, "flood"))
+        for (int i = 0; i < 30000; i++)
+            fputs("a line of a plugin that says far too much, and says it again and again and again, thirty thousand times\n", stderr);
+    if (is(bad, "flood-stdout"))
+        for (;;)
+            puts("a line of a plugin that never ends");
+    if (is(bad, "close"))
+        for (int i = 0; i < 256; i++)
+            close(i);
+    if (is(bad, "forged") || is(bad, "drip"))
+        forge(is(bad, "drip"));
+    /* Once is enough: a file that was removed cannot be removed again. */
+    static const char *done;
+    if (!done)
+        done = could(bad);
+    if (done) {
+        say(reply, done);
         return ABBE_FAILED;
     }
     if (is(bad, "fail")) {
@@ -129,12 +196,18 @@ static uint32_t poses(void *handle, const AbbePoses *batch, const AbbeReply *rep
     for (uint64_t pose = 0; pose < batch->pose_count + beyond; pose++)
         for (int i = 0; i < 3; i++) {
             double q = pose < batch->pose_count ? batch->statuses[3 * pose + i] : 0;
-            batch->positions[3 * pose + i] = is(bad, "nan") ? NAN : q * (1 + batch->values[i]);
+            batch->positions[3 * pose + i] = is(bad, "nan") ? NAN : is(bad, "zeros") ? 0 : is(bad, "stubborn") ? q : q * (1 + batch->values[i]);
         }
     for (uint64_t pose = 0; pose < batch->pose_count; pose++)
         for (uint64_t k = 0; k < batch->wanted_count; k++) {
             double *out = batch->position_derivatives + 3 * (pose * batch->wanted_count + k);
             uint32_t i = batch->wanted[k].index;
+            if (is(bad, "zeros") || (is(bad, "stubborn") && batch->wanted[k].kind != 1))
+                continue;
+            if (is(bad, "stubborn")) {
+                out[i] = 1;
+                continue;
+            }
             out[i] = batch->wanted[k].kind == 1 ? 1 + batch->values[i] : is(bad, "slope") ? 2 : batch->statuses[3 * pose + i];
         }
     static _Atomic uint64_t turn;
@@ -145,8 +218,12 @@ static uint32_t poses(void *handle, const AbbePoses *batch, const AbbeReply *rep
 
 static uint32_t call(void *handle, uint32_t method, const AbbeQuestion *question, const AbbeReply *reply);
 
+static _Atomic int stages;
+
 static void release(void *handle)
 {
+    if (((Bad *)handle)->is_stage)
+        stages--;
     free(handle);
 }
 
@@ -175,6 +252,7 @@ static uint32_t call(void *handle, uint32_t method, const AbbeQuestion *question
             abort();
         Bad *machine = malloc(sizeof *machine);
         *machine = *bad;
+        machine->is_stage = 0;
         AbbeObject object = { is(bad, "no-table") ? NULL : is(bad, "no-poses") ? &NO_POSES : &TABLE, machine };
         reply->object(reply->context, object);
         return ABBE_OK;
@@ -207,6 +285,16 @@ static uint32_t create(const AbbePlugin *plugin, AbbeText settings, AbbeText bas
     }
     if (is(bad, "abort-in-create"))
         abort();
+    if (is(bad, "hang-in-create"))
+        for (;;)
+            usleep(1000);
+    if (is(bad, "once") && stages > 0) {
+        free(bad);
+        say(reply, "there is one already");
+        return ABBE_FAILED;
+    }
+    bad->is_stage = 1;
+    stages++;
     AbbeObject object = { &TABLE, bad };
     reply->object(reply->context, object);
     return is(bad, "status-in-create") ? 78 : ABBE_OK;
@@ -245,6 +333,14 @@ static const AbbePlugin *const PLUGINS[] = {
 static const AbbeLibrary LIBRARY = {
     ABI, 0, sizeof(AbbeLibrary), ABBE_TEXT("bad"), ABBE_TEXT("0.1.0"), PLUGINS, 1,
 };
+
+#ifdef LIBRARY_LOOPS
+__attribute__((constructor)) static void never_loaded(void)
+{
+    for (;;)
+        usleep(1000);
+}
+#endif
 
 #ifdef LIBRARY_WITHOUT_SYMBOL
 #define abbe_plugin something_else

@@ -16,7 +16,7 @@ fn the_conformance_kit_passes_the_examples() {
     for file in files {
         let printed = abbe(folder.path(), &["plugin", "check", &file.to_string_lossy()]);
         assert_eq!(printed.status, 0, "{}{}", printed.stdout, printed.stderr);
-        assert_eq!(printed.stdout.matches("PASS").count(), 11, "{}", printed.stdout);
+        assert_eq!(printed.stdout.matches("PASS").count(), 13, "{}", printed.stdout);
     }
 }
 
@@ -32,6 +32,10 @@ fn the_conformance_kit_finds_what_is_wrong() {
         ("abort", "threads", "signal: 6 (SIGABRT)"),
         ("orientation", "derivatives", "gave orientations that are no unit quaternions"),
         ("nan", "derivatives", "gave positions that are not finite numbers"),
+        ("zeros", "computes", "computes nothing: the tip is at the same place for all commands"),
+        ("stubborn", "computes", "no parameter changes any position"),
+        ("once", "twice", "cannot be created a second time: there is one already"),
+        ("stdout", "computes", "writes to standard output, which is not the library's"),
     ];
     for (mode, test, expected) in cases {
         let folder = temporary();
@@ -46,4 +50,43 @@ fn the_conformance_kit_finds_what_is_wrong() {
         let found = tests.iter().find(|found| found["test"] == test).expect("the test was run");
         assert!(found.to_string().contains(expected), "{mode}: {report:#}");
     }
+}
+
+/// A library that tries what no plugin needs is found out, and gets neither files nor processes.
+#[test]
+#[cfg(target_os = "linux")]
+fn the_conformance_kit_finds_who_writes_files_or_starts_processes() {
+    for mode in ["write", "truncate", "fork", "exec", "network", "signal", "shared-memory"] {
+        let folder = temporary();
+        let library = bad(folder.path(), "bad", &[&format!("-DMODE=\"{mode}\"")]);
+        let printed = abbe(folder.path(), &["plugin", "check", &library.to_string_lossy()]);
+        assert_eq!(printed.status, 1, "{mode}: {}", printed.stdout);
+        assert!(printed.stdout.contains("does what a plugin must not do"), "{mode}: {}", printed.stdout);
+        assert!(!folder.path().join("written-by-a-plugin").exists(), "{mode}");
+    }
+}
+
+/// Endless output, endless work and much memory end the tests of the kit, and take nothing from the machine. The shell bounds all of it.
+#[test]
+#[cfg(target_os = "linux")]
+fn the_conformance_kit_ends_whatever_a_library_does() {
+    let kit = |mode: &str, limits: &[&str]| {
+        let folder = temporary();
+        let library = bad(folder.path(), "bad", &[&format!("-DMODE=\"{mode}\"")]);
+        let mut shell = std::process::Command::new("bash");
+        shell.args(["-c", "ulimit -t 60; ulimit -v 3000000; ulimit -f 1000; exec \"$0\" \"$@\""]);
+        shell.arg(env!("CARGO_BIN_EXE_abbe-under-test")).args(["plugin", "check"]).arg(library).args(limits);
+        let output = shell.current_dir(folder.path()).output().expect("a shell starts");
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.stdout.len() < 100_000, "{mode}: {} bytes", output.stdout.len());
+        (output.status.code(), said)
+    };
+    let (status, said) = kit("flood-stdout", &["--time-limit", "1"]);
+    assert!(status == Some(1) && said.contains("no end within 1 s"), "{said}");
+    let (status, said) = kit("hang", &["--total-time-limit", "2"]);
+    assert!(status == Some(1) && said.contains("no end within 2 s for all tests together"), "{said}");
+    assert!(said.contains("not run"), "{said}");
+    // It does not get the memory, and does without.
+    let (status, said) = kit("memory", &[]);
+    assert_eq!(status, Some(0), "{said}");
 }

@@ -129,7 +129,7 @@ fn what_a_recipe_uses_keeps_the_laws_and_a_recipe_that_cannot_run_does_not() {
         let report: Value = serde_json::from_str(&printed.stdout).expect("JSON");
         let tests = report["tests"].as_array().expect("tests");
         let last = tests.last().expect("a test");
-        assert_eq!((tests.len(), &last["test"], &last["skipped"]), (12, &json!("recipe"), &json!([])), "{report:#}");
+        assert_eq!((tests.len(), &last["test"], &last["skipped"]), (14, &json!("recipe"), &json!([])), "{report:#}");
 
         let text = read(&folder.path().join(&recipe));
         write(&folder.path().join("wrong.yaml"), &text.replace("model: ", "model: no-"));

@@ -1,5 +1,6 @@
 //! Dynamic plugins: the same results as built in, from Rust and from C, isolated or not; and libraries that misbehave.
 
+mod attacks;
 mod conformance;
 mod examples;
 mod header;
@@ -59,6 +60,7 @@ fn limits(silence: f64) -> Limits {
         program: env!("CARGO_BIN_EXE_abbe-under-test").into(),
         arguments: ["plugin", "serve"].map(str::to_owned).to_vec(),
         answer_timeout: Duration::from_secs_f64(silence),
+        total_time: Duration::from_secs(600),
         memory_limit_mib: abbe_plugin::MEMORY_LIMIT_MIB,
     }
 }

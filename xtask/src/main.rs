@@ -4,8 +4,13 @@
 //! - `cargo xtask bench [--save]`: run the benchmarks, compare with (or write) `benches/baseline.json`.
 //! - `cargo xtask campaign coverage SETS`: whether intervals cover the truth, in SETS simulated measurements each (`tests/coverage.rs`).
 //! - `cargo xtask campaign controls COUNT SEED`: the laws of `tests/controls` on COUNT random machines each.
+//! - `cargo xtask campaign faults all`: let every system call that writes fail, one by one (`tests/faults.rs`).
 //! - `cargo xtask campaign machines|compensation|tango|bad-inputs|signals|hostile|sizes COUNT SEED`: run a campaign over many random
 //!   cases (`tests/campaigns`).
+//! - `cargo xtask fuzz --executions COUNT --seed SEED [TARGET]`: COUNT inputs for every reader of bytes, or for one, built with the
+//!   checks of debug builds (`tests/campaigns/src/fuzz.rs`; `tests/fuzz` has the same targets for cargo-fuzz).
+//! - `cargo xtask mutate --runs COUNT --seed SEED`: recipes and their data with random mistakes: `campaign bad-inputs`, built with the
+//!   checks of debug builds.
 //! - `cargo xtask header`: write the C header of the plugin interface.
 //! - `cargo xtask linuxcnc [--create-user]`: run the files for LinuxCNC on LinuxCNC itself, in simulation; it needs a user of its own.
 //! - `cargo xtask schema`: write what follows from the plugins: the schema of recipes and the pages in `docs/plugins`.
@@ -37,10 +42,24 @@ fn main() -> ExitCode {
             tests.env("ABBE_COVERAGE_SETS", sets);
             run(tests)
         }
+        ["mutate", "--runs", count, "--seed", seed] => {
+            let campaign = ["run", "--locked", "--package", "abbe-campaigns", "--", "bad-inputs", count, seed];
+            run(cargo(&campaign))
+        }
+        ["campaign", "faults", "all"] => {
+            let mut tests = cargo(&["test", "--locked", "--package", "abbe-tests", "--", "--nocapture", "faults::"]);
+            tests.env("ABBE_FAULTS", "all");
+            run(tests)
+        }
         ["campaign", "controls", count, seed] => {
             let mut tests = cargo(&["test", "--release", "--locked", "--package", "abbe-tests", "--", "controls::"]);
             tests.env("ABBE_SEEDS", format!("{count} {seed}"));
             run(tests)
+        }
+        ["fuzz", "--executions", count, "--seed", seed, targets @ ..] if targets.len() < 2 => {
+            let mut campaign = cargo(&["run", "--locked", "--package", "abbe-campaigns", "--", "fuzz", count, seed]);
+            campaign.args(targets);
+            run(campaign)
         }
         ["campaign", name, count, seed] => {
             run(cargo(&["run", "--release", "--locked", "--package", "abbe-campaigns", "--", name, count, seed]))
@@ -49,9 +68,9 @@ fn main() -> ExitCode {
         ["linuxcnc"] => linuxcnc::run(false),
         ["linuxcnc", "--create-user"] => linuxcnc::run(true),
         ["schema"] => schema(),
-        _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign NAME COUNT SEED | header | linuxcnc [--create-user] \
+        _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign NAME COUNT SEED | fuzz --executions COUNT --seed SEED [TARGET] | mutate --runs COUNT --seed SEED | header | linuxcnc [--create-user] \
                      | schema\ncampaigns: controls, machines, compensation, tango, bad-inputs, signals, hostile, sizes; \
-                     coverage COUNT"
+                     coverage COUNT; faults all"
             .to_owned()),
     };
     match outcome {

@@ -74,11 +74,14 @@ pub(crate) fn can_write(parent: &Path, out: &Path) -> Result<()> {
 
 /// A new temporary folder. The error does not name it: nobody knows it.
 fn temporary(parent: &Path) -> io::Result<tempfile::TempDir> {
-    tempfile::Builder::new()
-        .prefix(PREFIX)
-        .rand_bytes(RANDOM)
-        .tempdir_in(parent)
-        .map_err(|error| io::Error::from(error.kind()))
+    tempfile::Builder::new().prefix(PREFIX).rand_bytes(RANDOM).tempdir_in(parent).map_err(|error| bare(&error))
+}
+
+/// An error without the path that `tempfile` names.
+fn bare(error: &io::Error) -> io::Error {
+    let text = error.to_string();
+    let reason = text.split(" at path ").next().unwrap_or_default().to_owned();
+    io::Error::new(error.kind(), reason)
 }
 
 /// The error that results cannot be written.

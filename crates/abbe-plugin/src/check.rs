@@ -4,11 +4,13 @@
 
 mod promises;
 mod stages;
+mod work;
 
 use std::ffi::OsStr;
 use std::io::Read;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use abbe_core::{Error, Result, harmless};
@@ -25,7 +27,7 @@ struct Test {
     run: fn(&Library, &mut Findings),
 }
 
-const TESTS: [Test; 11] = [
+const TESTS: [Test; 13] = [
     Test { name: "abi", requires: "the library loads and speaks this version of the interface", run: |_, _| {} },
     Test {
         name: "names",
@@ -49,6 +51,8 @@ const TESTS: [Test; 11] = [
     },
     Test { name: "not-a-number", requires: "numbers that are none do no harm", run: promises::not_a_number },
     Test { name: "no-data", requires: "data that are none are refused or used, without a bug", run: stages::no_data },
+    Test { name: "computes", requires: "machines move with commands and with parameters", run: work::computes },
+    Test { name: "twice", requires: "two stages at once are possible and independent", run: work::twice },
     Test { name: "empty-batch", requires: "no poses give no poses", run: promises::empty_batch },
     Test { name: "threads", requires: "many threads at once get the same answers", run: promises::threads },
     Test { name: "leaks", requires: "10,000 calls leave no memory behind", run: promises::leaks },
@@ -82,6 +86,21 @@ impl Findings {
 
     fn skip(&mut self, what: impl Into<String>) {
         self.skipped.push(what.into());
+    }
+}
+
+/// How long the tests may take.
+#[derive(Debug, Clone, Copy)]
+pub struct Limits {
+    /// One test.
+    pub of_test: Duration,
+    /// All tests together.
+    pub total: Duration,
+}
+
+impl Limits {
+    fn total_is_over(&self) -> String {
+        format!("no end within {} s for all tests together", self.total.as_secs_f64())
     }
 }
 
@@ -133,16 +152,21 @@ const RECIPE: Test = Test {
 };
 
 /// Runs all tests of a library; `program` is started as `program plugin test FILE NAME` and calls [`test()`]. With a recipe it is
-/// started once more, with `--recipe RECIPE`, to run the laws over that.
-pub fn check(file: &Path, program: &Path, limit: Duration, recipe: Option<&Path>) -> Result<Report> {
+/// started once more, with `--recipe RECIPE`, to run the laws over that. What has not ended after the time of `limits` has failed.
+pub fn check(file: &Path, program: &Path, limits: Limits, recipe: Option<&Path>) -> Result<Report> {
     open_library(file)?;
+    let started = Instant::now();
     let mut report = Report { file: file.display().to_string(), results: Vec::new() };
     for test in TESTS.iter().chain(recipe.map(|_| &RECIPE)) {
         let mut arguments = vec![file.as_os_str(), test.name.as_ref()];
         if let Some(recipe) = recipe.filter(|_| test.name == RECIPE.name) {
             arguments.extend(["--recipe".as_ref(), recipe.as_os_str()]);
         }
-        let findings = apart(program, &arguments, limit)?;
+        let left = limits.total.saturating_sub(started.elapsed());
+        let findings = match left.is_zero() {
+            true => Findings { wrong: vec![format!("not run: {}", limits.total_is_over())], ..Findings::default() },
+            false => apart(program, &arguments, limits.of_test.min(left), limits)?,
+        };
         let loads = test.name != "abi" || findings.wrong.is_empty();
         report.results.push((test, findings));
         if !loads {
@@ -152,23 +176,59 @@ pub fn check(file: &Path, program: &Path, limit: Duration, recipe: Option<&Path>
     Ok(report)
 }
 
+/// Bytes that are kept of what a test says, from its end.
+const KEPT: usize = 1 << 20;
+
+/// What a process says while it works: the end of it, as much as is kept.
+struct Said(JoinHandle<Vec<u8>>);
+
+impl Said {
+    fn by(from: Option<impl Read + Send + 'static>, kept: usize) -> Self {
+        Self(std::thread::spawn(move || {
+            let (mut bytes, mut more) = (Vec::new(), vec![0; 1 << 16]);
+            let Some(mut from) = from else { return bytes };
+            while let Ok(length @ 1..) = from.read(&mut more) {
+                bytes.extend_from_slice(&more[..length]);
+                if bytes.len() > 2 * kept {
+                    bytes.drain(..bytes.len() - kept);
+                }
+            }
+            bytes
+        }))
+    }
+
+    /// The text after the end of the process; nothing if another process still holds its output.
+    fn text(self) -> String {
+        for _ in 0..100 {
+            if self.0.is_finished() {
+                return String::from_utf8_lossy(&self.0.join().unwrap_or_default()).into_owned();
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        String::new()
+    }
+}
+
+/// Whether the system ended a process for a call that is refused ([`Allowance::is_on_trial`]).
+fn is_refused(status: ExitStatus) -> bool {
+    #[cfg(target_os = "linux")]
+    return std::os::unix::process::ExitStatusExt::signal(&status) == Some(libc::SIGSYS);
+    #[cfg(not(target_os = "linux"))]
+    {
+        let _ = status;
+        false
+    }
+}
+
 /// One test in a process of its own.
-fn apart(program: &Path, arguments: &[&OsStr], limit: Duration) -> Result<Findings> {
+fn apart(program: &Path, arguments: &[&OsStr], limit: Duration, limits: Limits) -> Result<Findings> {
     let test = arguments[1].display();
     let failed = |error: std::io::Error| Error::data(format!("the test `{test}` cannot be run: {error}"));
     let mut command = Command::new(program);
     command.args(["plugin", "test"]).args(arguments).stdin(Stdio::null());
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().map_err(failed)?;
     let (out, err) = (child.stdout.take(), child.stderr.take());
-    let read = |from: Option<Box<dyn Read + Send>>| {
-        std::thread::spawn(move || {
-            let mut bytes = Vec::new();
-            let _ = from.map(|mut from| from.read_to_end(&mut bytes));
-            String::from_utf8_lossy(&bytes).into_owned()
-        })
-    };
-    let out = read(out.map(|out| Box::new(out) as Box<dyn Read + Send>));
-    let err = read(err.map(|err| Box::new(err) as Box<dyn Read + Send>));
+    let (out, err) = (Said::by(out, KEPT), Said::by(err, KEPT));
     let started = Instant::now();
     let status = loop {
         match child.try_wait().map_err(failed)? {
@@ -183,10 +243,13 @@ fn apart(program: &Path, arguments: &[&OsStr], limit: Duration) -> Result<Findin
     };
     let mut findings = Findings::default();
     let Some(status) = status else {
-        findings.wrong(format!("no end within {} s", limit.as_secs_f64()));
+        findings.wrong(match limit < limits.of_test {
+            true => limits.total_is_over(),
+            false => format!("no end within {} s", limit.as_secs_f64()),
+        });
         return Ok(findings);
     };
-    let text = out.join().unwrap_or_default();
+    let text = out.text();
     // The findings are the last line; there is nothing before it unless the library prints.
     let mut lines = text.lines().rev();
     match lines.next().and_then(|line| serde_json::from_str::<Findings>(line).ok()) {
@@ -197,7 +260,13 @@ fn apart(program: &Path, arguments: &[&OsStr], limit: Duration) -> Result<Findin
             Ok(found)
         }
         _ => {
-            let said = err.join().unwrap_or_default();
+            if is_refused(status) {
+                findings.wrong(
+                    "does what a plugin must not do (writing files, network, processes, signals): the system ended its process",
+                );
+                return Ok(findings);
+            }
+            let said = err.text();
             let said = said.trim().lines().map(str::trim).collect::<Vec<_>>().join(" ");
             findings.wrong(format!("the process ended with {status}{}{said}", if said.is_empty() { "" } else { ": " }));
             Ok(findings)
@@ -213,7 +282,7 @@ pub fn test(file: &Path, name: &str) -> Result<String> {
     let directory = std::env::current_dir().ok();
     let confined = hashed(file, None).and_then(|hashed| hashed.sealed(file)).and_then(|sealed| {
         // A test looks at the memory of its process.
-        let allowance = Allowance { may_read: vec!["/proc/self".into()], ..Allowance::default() };
+        let allowance = Allowance { may_read: vec!["/proc/self".into()], is_on_trial: true, ..Allowance::default() };
         confine(&allowance).map_err(|what| Error::data(format!("a test cannot be confined: {what}")))?;
         load_sealed(file, sealed)
     });

@@ -4,6 +4,8 @@
 //! standard input of the child. There is one question at a time; while a side works on it, it may ask questions, too.
 
 mod child;
+mod time;
+pub(crate) mod trials;
 mod wire;
 
 use std::any::Any;
@@ -13,10 +15,9 @@ use std::os::unix::net::UnixStream;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::{JoinHandle, ThreadId};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use abbe_core::{Equations, Error, Origin, Poses, Result, RowBatch, RowIndex, Variable, from_json, harmless};
 
@@ -24,6 +25,7 @@ use crate::loader::{About, Create, Library, hashed};
 use crate::peer::{Answer, Failure, Peer, Received};
 use crate::sandbox::named;
 use crate::served::Served;
+use time::Time;
 use wire::{Frame, Reference, Wire};
 
 pub use child::serve;
@@ -37,6 +39,8 @@ pub struct Limits {
     pub arguments: Vec<String>,
     /// How long a plugin may work without sending an answer or a question.
     pub answer_timeout: Duration,
+    /// How long a stage of it may work altogether.
+    pub total_time: Duration,
     /// Memory of the process, MiB.
     pub memory_limit_mib: u64,
 }
@@ -61,9 +65,9 @@ pub(crate) struct Connection {
     /// Passes on what the other process says on its standard error.
     words: Option<JoinHandle<()>>,
     who: String,
-    answer_timeout: Duration,
-    /// The other process was ended because it gave no answer in time.
-    was_silent: AtomicBool,
+    time: Time,
+    /// Why the other side is lost. Who asks after that is told the same.
+    lost: OnceLock<Failure>,
 }
 
 /// Our objects for the other side, by number.
@@ -96,32 +100,38 @@ impl Connection {
             return Err(Failure::of(&self.who, "was asked while it waited for an answer to a question of its own"));
         }
         let mut wire = locked(&self.wire);
+        if let Some(lost) = self.lost.get() {
+            return Err(lost.clone());
+        }
         *locked(&self.holder) = Some(me);
+        let started = Instant::now();
         let answer = self.converse(&mut wire, frame, numbers);
+        self.time.spend(started.elapsed());
         *locked(&self.holder) = None;
         match answer {
             Ok((Frame::Failed(failure), _)) => Err(failure),
             Ok(answer) => Ok(answer),
-            Err(error) => Err(self.lost(&error)),
+            Err(error) => Err(self.lost.get_or_init(|| self.reason(&error)).clone()),
         }
     }
 
     fn converse(self: &Arc<Self>, wire: &mut Wire, frame: &Frame, numbers: &[&[f64]]) -> io::Result<(Frame, Vec<f64>)> {
+        let started = Instant::now();
         for object in std::mem::take(&mut *locked(&self.released)) {
-            wire.write(&Frame::Release { object }, &[])?;
+            wire.write(&Frame::Release { object }, &[], self.time.until(started))?;
         }
-        wire.write(frame, numbers)?;
+        wire.write(frame, numbers, self.time.until(started))?;
         loop {
-            let (frame, numbers) = wire.read()?;
+            let (frame, numbers) = wire.read(self.time.until(started))?;
             match frame {
                 Frame::Answer { .. } | Frame::Numbers { .. } | Frame::Failed(_) => return Ok((frame, numbers)),
-                question => self.answer(wire, question, &numbers)?,
+                question => self.answer(wire, question, &numbers, started)?,
             }
         }
     }
 
     /// Works on a question of the other side and writes the answer.
-    fn answer(self: &Arc<Self>, wire: &mut Wire, question: Frame, numbers: &[f64]) -> io::Result<()> {
+    fn answer(self: &Arc<Self>, wire: &mut Wire, question: Frame, numbers: &[f64], started: Instant) -> io::Result<()> {
         if let Frame::Release { object } = question {
             locked(&self.objects).served.remove(&object);
             return Ok(());
@@ -129,9 +139,9 @@ impl Connection {
         match self.work(question, numbers) {
             Ok((frame, numbers)) => {
                 let lists: Vec<&[f64]> = numbers.iter().map(Vec::as_slice).collect();
-                wire.write(&frame, &lists)
+                wire.write(&frame, &lists, self.time.until(started))
             }
-            Err(failure) => wire.write(&Frame::Failed(failure), &[]),
+            Err(failure) => wire.write(&Frame::Failed(failure), &[], self.time.until(started)),
         }
     }
 
@@ -205,17 +215,13 @@ impl Connection {
     }
 
     /// The reason why the other side does not answer. Ends its process.
-    fn lost(&self, error: &io::Error) -> Failure {
+    fn reason(&self, error: &io::Error) -> Failure {
         let Some(child) = &self.child else { return Failure::of(&self.who, format!("is gone: {error}")) };
         let mut child = locked(child);
-        let is_silent = matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut);
-        // Who asks after that finds the socket closed, for the same reason.
-        if is_silent || self.was_silent.load(Ordering::Acquire) {
-            self.was_silent.store(true, Ordering::Release);
+        if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) {
             let _ = child.kill();
             let _ = child.wait();
-            let limit = self.answer_timeout.as_secs_f64();
-            return Failure::of(&self.who, format!("gave no answer within {limit} s; its process was ended"));
+            return Failure::of(&self.who, format!("{}; its process was ended", self.time.limit()));
         }
         // The other side has closed the socket: its process is ending, or cannot be used any more.
         let status = within_a_second(|| match child.try_wait() {
@@ -320,8 +326,6 @@ fn start(
 ) -> Result<Arc<Connection>, Failure> {
     let failed = |error: io::Error| Failure::of(who, format!("cannot be isolated: {error}"));
     let (ours, theirs) = UnixStream::pair().map_err(failed)?;
-    ours.set_read_timeout(Some(limits.answer_timeout)).map_err(failed)?;
-    ours.set_write_timeout(Some(limits.answer_timeout)).map_err(failed)?;
     let mut command = Command::new(&limits.program);
     command.args(&limits.arguments).arg(path).arg(sha256);
     command.arg("--memory-limit-mib").arg(limits.memory_limit_mib.to_string());
@@ -343,21 +347,32 @@ fn start(
         child: Some(Mutex::new(child)),
         words,
         who: who.to_owned(),
-        answer_timeout: limits.answer_timeout,
-        was_silent: AtomicBool::new(false),
+        time: Time::limited(limits.answer_timeout, limits.total_time),
+        lost: OnceLock::new(),
     }))
 }
 
 /// Bytes of the longest line of a process that is passed on at once.
 const LONGEST_LINE: u64 = 1 << 16;
 
-/// Writes what a process says on its standard error to that of this one, line by line, without what a terminal would obey.
+/// Bytes of what one process says that are passed on.
+const MOST_SAID: usize = 1 << 20;
+
+/// Writes what a process says on its standard error to that of this one, line by line, without what a terminal would obey. The rest of
+/// what says too much is read, so that it goes on, and left out.
 fn pass_on(said: impl Read) {
     let mut said = BufReader::new(said);
-    let mut line = Vec::new();
-    while let Ok(1..) = said.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut line) {
+    let (mut line, mut passed) = (Vec::new(), 0);
+    while passed < MOST_SAID
+        && let Ok(length @ 1..) = said.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut line)
+    {
         let _ = io::stderr().write_all(harmless(&String::from_utf8_lossy(&line)).as_bytes());
         line.clear();
+        passed += length;
+    }
+    if passed >= MOST_SAID {
+        let _ = writeln!(io::stderr(), "a plugin says more than {} MiB: the rest is left out", MOST_SAID >> 20);
+        let _ = io::copy(&mut said, &mut io::sink());
     }
 }
 

@@ -30,6 +30,9 @@ mod sandbox;
 pub mod sdk;
 mod served;
 mod texts;
+#[cfg(all(feature = "host", unix))]
+#[doc(hidden)]
+pub mod trials;
 
 #[cfg(feature = "host")]
 pub use exit::{expect_exit, guard_exit};

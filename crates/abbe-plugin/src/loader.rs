@@ -100,7 +100,7 @@ pub(crate) fn hashed(path: &Path, pin: Option<&str>) -> Result<Hashed> {
 
 /// Whether a 64-bit little-endian ELF file ends before its segments or its table of sections do: the system's loader maps such a
 /// file and the program dies where it is read.
-fn truncated(bytes: &[u8]) -> bool {
+pub(crate) fn truncated(bytes: &[u8]) -> bool {
     if !bytes.starts_with(b"\x7fELF\x02\x01") {
         return false;
     }

@@ -17,6 +17,8 @@ pub struct Limits {
     pub arguments: Vec<String>,
     /// How long a plugin may work without sending an answer or a question.
     pub answer_timeout: Duration,
+    /// How long a stage of it may work altogether.
+    pub total_time: Duration,
     /// Memory of the process, MiB.
     pub memory_limit_mib: u64,
 }
@@ -29,7 +31,12 @@ pub fn isolated(path: &Path, _: Option<&str>, _: &Limits) -> Result<Library> {
 
 /// Refuses, as [`isolated`] does.
 pub fn serve(path: &Path, _: &str, _: &Allowance) -> Result<()> {
-    let none =
-        Limits { program: PathBuf::new(), arguments: Vec::new(), answer_timeout: Duration::ZERO, memory_limit_mib: 0 };
+    let none = Limits {
+        program: PathBuf::new(),
+        arguments: Vec::new(),
+        answer_timeout: Duration::ZERO,
+        total_time: Duration::ZERO,
+        memory_limit_mib: 0,
+    };
     isolated(path, None, &none).map(drop)
 }

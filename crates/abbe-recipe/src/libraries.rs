@@ -10,7 +10,7 @@ use crate::document::{At, Node};
 /// Longest time without an answer from an isolated plugin, unless the recipe states another, s.
 const TIME_LIMIT_S: f64 = 60.0;
 
-/// Largest time limit for one answer, s: a day.
+/// Largest time limit, for one answer or for all, s: a day.
 const LONGEST_LIMIT_S: f64 = 86_400.0;
 
 /// A library with plugins that a recipe asks for.
@@ -31,6 +31,8 @@ pub struct Library {
 pub struct Isolation {
     /// Longest time without an answer, s.
     pub time_limit_s: f64,
+    /// Longest time of a stage altogether, s.
+    pub total_time_limit_s: f64,
     /// Memory, MiB; none: the usual limit.
     pub memory_limit_mib: Option<u64>,
     /// Whether the recipe asks for it; else it is so because nobody pins the file.
@@ -39,7 +41,12 @@ pub struct Isolation {
 
 impl Default for Isolation {
     fn default() -> Self {
-        Self { time_limit_s: TIME_LIMIT_S, memory_limit_mib: None, is_asked_for: false }
+        Self {
+            time_limit_s: TIME_LIMIT_S,
+            total_time_limit_s: LONGEST_LIMIT_S,
+            memory_limit_mib: None,
+            is_asked_for: false,
+        }
     }
 }
 
@@ -50,7 +57,7 @@ const MEMORY_MIB: RangeInclusive<u64> = 64..=1 << 20;
 pub fn libraries(root: &Node<'_>, base: &Path) -> Result<Vec<Library>, Error> {
     let Some(plugins) = root.get("plugins") else { return Ok(Vec::new()) };
     let library = |node: Node<'_>| {
-        node.only(&["path", "sha256", "isolate", "time_limit_s", "memory_limit_mib"])?;
+        node.only(&["path", "sha256", "isolate", "time_limit_s", "total_time_limit_s", "memory_limit_mib"])?;
         let missing = || node.missing(&["path"], "`path` is missing: the file of the library");
         let path = node.get("path").ok_or_else(missing)?;
         let sha256 = node.get("sha256").map(|pin| digest(&pin)).transpose()?;
@@ -79,21 +86,20 @@ fn isolation(node: &Node<'_>) -> Result<Option<Isolation>, Error> {
             isolate.value.as_bool().ok_or_else(|| isolate.error(At::Value, "isolate: true or false was expected"))?
         }
     };
-    for key in ["time_limit_s", "memory_limit_mib"] {
+    for key in ["time_limit_s", "total_time_limit_s", "memory_limit_mib"] {
         if let Some(limit) = node.get(key).filter(|_| !isolate) {
             let message = format!("`{key}` holds for plugins that are isolated");
             return Err(limit.error(At::Key, message).help("add `isolate: true`"));
         }
     }
     let mut limits = Isolation { is_asked_for: node.get("isolate").is_some(), ..Isolation::default() };
-    if let Some(limit) = node.get("time_limit_s") {
-        limits.time_limit_s =
-            limit.value.as_f64().filter(|limit| *limit > 0.0 && *limit <= LONGEST_LIMIT_S).ok_or_else(|| {
-                limit.error(
-                    At::Value,
-                    format!("time_limit_s: a number above 0, at most {LONGEST_LIMIT_S}, was expected"),
-                )
-            })?;
+    for (key, into) in
+        [("time_limit_s", &mut limits.time_limit_s), ("total_time_limit_s", &mut limits.total_time_limit_s)]
+    {
+        let Some(limit) = node.get(key) else { continue };
+        let message = format!("{key}: a number above 0, at most {LONGEST_LIMIT_S}, was expected");
+        let seconds = limit.value.as_f64().filter(|limit| *limit > 0.0 && *limit <= LONGEST_LIMIT_S);
+        *into = seconds.ok_or_else(|| limit.error(At::Value, message))?;
     }
     if let Some(limit) = node.get("memory_limit_mib") {
         let (least, most) = (MEMORY_MIB.start(), MEMORY_MIB.end());

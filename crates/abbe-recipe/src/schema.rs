@@ -33,6 +33,7 @@ pub fn schema(registry: &Registry) -> Value {
                         "isolate": { "type": "boolean", "description": "Its plugins run in separate processes" },
                         "memory_limit_mib": { "type": "integer", "minimum": 64, "maximum": 1048576, "description": "Memory of the process of an isolated plugin" },
                         "time_limit_s": { "type": "number", "exclusiveMinimum": 0, "maximum": 86400, "description": "How long an isolated plugin may work without an answer or a question" },
+                        "total_time_limit_s": { "type": "number", "exclusiveMinimum": 0, "maximum": 86400, "description": "How long a stage of an isolated plugin may work altogether" },
                     },
                     "required": ["path"],
                     "additionalProperties": false,

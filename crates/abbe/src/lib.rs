@@ -213,6 +213,9 @@ enum PluginCommand {
         /// Time limit of one test, seconds.
         #[arg(long, value_name = "SECONDS", default_value = "60", value_parser = seconds)]
         time_limit: Duration,
+        /// Time limit of all tests together, seconds.
+        #[arg(long, value_name = "SECONDS", default_value = "600", value_parser = seconds)]
+        total_time_limit: Duration,
         /// Print the report as JSON.
         #[arg(long)]
         json: bool,
@@ -449,9 +452,12 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             interrupt::cancel_on_signal(Monitor::default())?;
             asked.run(libraries)
         }
-        Command::Plugin { command: PluginCommand::Check { file, recipe, time_limit, json } } => {
+        Command::Plugin { command: PluginCommand::Check { file, recipe, time_limit, total_time_limit, json } } => {
             let program = libraries::this_program()?;
-            let report = abbe_plugin::check::check(&file, &program, time_limit, recipe.as_deref())?;
+            let report = {
+                let limits = abbe_plugin::check::Limits { of_test: time_limit, total: total_time_limit };
+                abbe_plugin::check::check(&file, &program, limits, recipe.as_deref())?
+            };
             let status = if report.passes() { 0 } else { 1 };
             let text = match json {
                 true => pretty(&report.json())?,

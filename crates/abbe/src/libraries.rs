@@ -70,6 +70,7 @@ impl Libraries {
                         program: this_program()?,
                         arguments: ["plugin", "serve"].map(str::to_owned).to_vec(),
                         answer_timeout: Duration::from_secs_f64(isolation.time_limit_s),
+                        total_time: Duration::from_secs_f64(isolation.total_time_limit_s),
                         memory_limit_mib: isolation.memory_limit_mib.unwrap_or(MEMORY_LIMIT_MIB),
                     },
                 )?

@@ -230,9 +230,14 @@ impl Asked<'_> {
         let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let failed = |error: std::io::Error| cannot_be_written(out, &error);
         let file = temporary_file(folder).map_err(failed)?;
-        let mut writer = BufWriter::new(file.as_file());
-        let summary = compensate(&mut source, &mut writer, build, options)?;
-        writer.flush().map_err(failed)?;
+        let mut writer = Remembering { into: BufWriter::new(file.as_file()), error: None };
+        let summary = compensate(&mut source, &mut writer, build, options)
+            .and_then(|summary| writer.flush().map(|()| summary).map_err(failed));
+        // What cannot be written is told of the file, and not of the program.
+        if let Some(error) = writer.error.take() {
+            return Err(failed(error));
+        }
+        let summary = summary?;
         drop(writer);
         if interrupt::happened() {
             return Err(Error::interrupted());
@@ -348,6 +353,38 @@ fn checked_text(checked: &Checked, options: &Options) -> String {
         text.push_str(&format!("Failed: {} µm are allowed\n", short(options.tolerance * 1e3)));
     }
     text
+}
+
+/// A writer that remembers why it failed.
+struct Remembering<W> {
+    into: W,
+    error: Option<std::io::Error>,
+}
+
+impl<W: Write> Remembering<W> {
+    fn remembered<T>(&mut self, result: std::io::Result<T>) -> std::io::Result<T> {
+        result.map_err(|error| {
+            let told = std::io::Error::from(error.kind());
+            self.error = Some(error);
+            told
+        })
+    }
+}
+
+impl<W: Write> Write for Remembering<W> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let written = self.into.write(bytes);
+        // Who is interrupted tries again.
+        match written {
+            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => Err(error),
+            written => self.remembered(written),
+        }
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        let flushed = self.into.flush();
+        self.remembered(flushed)
+    }
 }
 
 fn summary_json(summary: &Summary) -> serde_json::Value {

@@ -1,7 +1,7 @@
 //! Recipes and data with random mistakes in them, given to the program as a user starts it.
 //!
-//! Laws: the program ends by itself, in bounded time and memory, with a status that it documents; it never panics; what fails says
-//! why, in a message that a terminal can have; nothing half-written stays; what it calls estimated is a number with an uncertainty.
+//! Laws: the program ends by itself, in 20 s of processor time and bounded memory, with a status that it documents; it never panics; what fails says
+//! why, in a message that a terminal can have, and what is refused names its file; nothing half-written stays; what it calls estimated is a number with an uncertainty.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
@@ -17,22 +17,46 @@ use crate::machines::Report;
 use crate::process::{Bounds, Ended, ended};
 use crate::source::Source;
 
-/// Recipes that run within a fraction of a second.
-const RECIPES: [&str; 7] = [
-    "first-steps",
-    "positioner",
-    "design-2d",
+/// Recipes that run within a fraction of a second, of every sort.
+const RECIPES: [&str; 28] = [
+    "before-the-cut",
+    "cmm-checking-gauge",
     "cmm-fifty-lengths",
-    "rapid-verify-three-axis",
     "cylinder-kx8-exact",
     "ballbar-c600u-exact",
+    "design-2d",
+    "first-steps",
+    "history-exact",
+    "linuxcnc-balls",
+    "linuxcnc-table",
+    "mfb-ucp710-exact",
+    "mill-warming",
+    "positioner",
+    "probe-lobing",
+    "rapid-verify-three-axis",
+    "robot-ur5",
+    "spindle-motion",
+    "sphere-hu40t",
+    "standards-ball-bar",
+    "standards-circular",
+    "standards-cmm",
+    "standards-diagonals",
+    "standards-positioning",
+    "standards-rotary-interpolation",
+    "standards-rtest",
+    "tango-warming-retrain",
+    "thermal-spindle-exact",
+    "tool-check",
 ];
+
+/// Processor time of a case, s.
+const PROCESSOR_S: u64 = 20;
 
 /// Bytes of the longest message.
 const LONGEST: usize = 1 << 16;
 
 /// Numbers that nobody means.
-const NUMBERS: [&str; 28] = [
+pub(crate) const NUMBERS: [&str; 28] = [
     "0",
     "-1",
     "1e12",
@@ -64,7 +88,7 @@ const NUMBERS: [&str; 28] = [
 ];
 
 /// Texts that editors, spreadsheets and attackers leave in files.
-const TEXTS: [&[u8]; 30] = [
+pub(crate) const TEXTS: [&[u8]; 30] = [
     b"\0",
     b"\x1b[2J",
     b"\xc2\x9b31m",
@@ -304,10 +328,39 @@ pub(crate) fn wrong(ended: Option<&Ended>, folder: &Path) -> Vec<String> {
     wrong
 }
 
+/// What a refusal names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Place {
+    Nowhere,
+    File,
+    Line,
+}
+
+/// What the message of a refusal names: a file of the case, and a line in it.
+fn place(ended: &Ended, source: &Source) -> Place {
+    let said = format!("{}{}", ended.stdout, ended.stderr);
+    let names = source.files.keys().filter_map(|file| file.file_name()).map(|name| name.to_string_lossy());
+    let mut found = Place::Nowhere;
+    for name in names {
+        for (at, _) in said.match_indices(&*name) {
+            let is_line = said[at + name.len()..]
+                .strip_prefix(':')
+                .is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
+            if is_line {
+                return Place::Line;
+            }
+            found = Place::File;
+        }
+    }
+    found
+}
+
 struct Case {
     what: String,
     status: Option<i32>,
     wrong: Vec<String>,
+    /// Of what is refused.
+    place: Option<Place>,
     seconds: f64,
 }
 
@@ -335,11 +388,18 @@ fn case(program: &Path, sources: &[Source], seed: u64, number: u64) -> Case {
         _ => &["run", &recipe, "--out", "out"],
     };
     let start = Instant::now();
-    let ended = ended(program, folder.path(), arguments, Bounds::default());
+    let bounds = Bounds { processor_s: Some(PROCESSOR_S), ..Bounds::default() };
+    let ended = ended(program, folder.path(), arguments, bounds);
+    let mut wrong = wrong(ended.as_ref(), folder.path());
+    let place = ended.as_ref().filter(|ended| ended.status.code() == Some(2)).map(|ended| place(ended, source));
+    if place == Some(Place::Nowhere) {
+        wrong.push("it names no file".to_owned());
+    }
     Case {
         what: format!("{number}: {} {recipe}, {}: {what}", arguments[0], file.display()),
         status: ended.as_ref().and_then(|ended| ended.status.code()),
-        wrong: wrong(ended.as_ref(), folder.path()),
+        wrong,
+        place,
         seconds: start.elapsed().as_secs_f64(),
     }
 }
@@ -356,6 +416,8 @@ pub fn run(program: &Path, seed: u64, count: u64) -> Report {
         let name = status.map_or("none".to_owned(), |status| status.to_string());
         text.push_str(&format!("status {name}: {of_status}\n"));
     }
+    let refused = |place| cases.iter().filter(|case| case.place == Some(place)).count();
+    text.push_str(&format!("refused with a line {}, with a file {}\n", refused(Place::Line), refused(Place::File)));
     let slowest = cases.iter().max_by(|a, b| a.seconds.total_cmp(&b.seconds));
     if let Some(slowest) = slowest {
         text.push_str(&format!("slowest: {:.1} s, {}\n", slowest.seconds, slowest.what));

@@ -5,7 +5,7 @@
 
 use std::process::ExitCode;
 
-use abbe_campaigns::{bad_inputs, compensation, hostile, machines, signals, sizes, tango};
+use abbe_campaigns::{bad_inputs, compensation, fuzz, hostile, machines, signals, sizes, tango};
 
 fn main() -> ExitCode {
     if std::env::var_os("ABBE_CAMPAIGN_PROGRAM").is_some() {
@@ -20,6 +20,10 @@ fn main() -> ExitCode {
         machines::write(seed, case, folder.as_ref());
         return ExitCode::SUCCESS;
     }
+    if let (Some("fuzz-seeds"), Some(folder)) = (arguments.first().map(String::as_str), arguments.get(1)) {
+        fuzz::write_seeds(folder.as_ref());
+        return ExitCode::SUCCESS;
+    }
     let program = std::env::current_exe().expect("this program has a file");
     let report = match (arguments.first().map(String::as_str), number(1), number(2)) {
         (Some("machines"), Some(count), Some(seed)) => machines::run(seed, count),
@@ -28,10 +32,13 @@ fn main() -> ExitCode {
         (Some("bad-inputs"), Some(count), Some(seed)) => bad_inputs::run(&program, seed, count),
         (Some("signals"), Some(count), Some(seed)) => signals::run(&program, seed, count),
         (Some("hostile"), Some(count), Some(seed)) => hostile::run(&program, seed, count),
+        (Some("fuzz"), Some(count), Some(seed)) => {
+            fuzz::run(seed, count, arguments.get(3).map(String::as_str), "target/fuzz".as_ref())
+        }
         (Some("sizes"), Some(largest), Some(_)) => sizes::run(&program, largest),
         _ => {
             eprintln!(
-                "usage: abbe-campaigns machines|compensation|tango|bad-inputs|signals|hostile|sizes COUNT SEED, or machine CASE SEED FOLDER"
+                "usage: abbe-campaigns machines|compensation|tango|bad-inputs|signals|hostile|sizes COUNT SEED, fuzz COUNT SEED [TARGET], fuzz-seeds FOLDER, or machine CASE SEED FOLDER"
             );
             return ExitCode::from(2);
         }

@@ -26,6 +26,8 @@ pub struct Ended {
 pub struct Bounds {
     /// Units of 512 bytes that a file may have; writing more fails as on a full disk.
     pub file_size: Option<u64>,
+    /// Processor time, s.
+    pub processor_s: Option<u64>,
     /// Files that may be open at once.
     pub open_files: Option<u64>,
 }
@@ -36,6 +38,9 @@ pub fn command(program: &Path, folder: &Path, arguments: &[&str], bounds: Bounds
     if let Some(size) = bounds.file_size {
         // A signal would end the program before it could say a word; without it writing fails.
         limits.push_str(&format!("ulimit -f {size}; "));
+    }
+    if let Some(seconds) = bounds.processor_s {
+        limits.push_str(&format!("ulimit -t {seconds}; "));
     }
     if let Some(files) = bounds.open_files {
         limits.push_str(&format!("ulimit -n {files}; "));

@@ -1,6 +1,6 @@
 //! Some cases of each campaign; `cargo xtask campaign` runs them by the thousand.
 
-use abbe_campaigns::{bad_inputs, compensation, hostile, machines, signals, tango};
+use abbe_campaigns::{bad_inputs, compensation, fuzz, hostile, machines, signals, tango};
 
 #[test]
 fn random_machines_keep_the_laws() {
@@ -46,4 +46,34 @@ fn signals_leave_whole_results() {
 fn hostile_surroundings_do_no_harm() {
     let found = hostile::run(PROGRAM.as_ref(), 1, 56);
     assert!(found.broken.is_empty(), "{}", found.text);
+}
+
+/// cargo-fuzz has the same targets.
+#[test]
+fn every_target_is_one_of_cargo_fuzz_too() {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz");
+    let manifest = std::fs::read_to_string(folder.join("Cargo.toml")).expect("the manifest");
+    let targets = fuzz::targets();
+    assert_eq!(manifest.matches("[[bin]]").count(), targets.len());
+    for target in targets {
+        let file = format!("fuzz_targets/{}.rs", target.name.replace('-', "_"));
+        assert!(manifest.contains(&format!("name = \"{}\"\npath = \"{file}\"", target.name)), "{}", target.name);
+        let text = std::fs::read_to_string(folder.join(file)).expect("a target");
+        assert!(text.contains(&format!("target!(\"{}\")", target.name)), "{}", target.name);
+    }
+}
+
+/// Every reader gets some hundred inputs, and each takes its seeds: else the campaign would try the first refusal again and again.
+#[test]
+fn bytes_that_nobody_meant_do_no_harm() {
+    let kept = std::env::temp_dir().join("abbe-fuzz");
+    let found = fuzz::run(1, 150, None, &kept);
+    println!("{}", found.text);
+    assert!(found.broken.is_empty(), "{}", found.text);
+    for target in fuzz::targets() {
+        let answers: Vec<_> = target.seeds.iter().map(|seed| target.read(seed)).collect();
+        let is_taken =
+            answers.iter().any(Result::is_ok) || ["plugin-failure", "program-heidenhain"].contains(&&*target.name);
+        assert!(is_taken, "{} takes none of its seeds: {answers:?}", target.name);
+    }
 }

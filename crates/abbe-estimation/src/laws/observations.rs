@@ -15,7 +15,8 @@ const ALLOWED: f64 = 1e-5;
 ///
 /// - derivatives to tip positions, orientations, own unknowns and known inputs agree with difference quotients;
 /// - a row gives the same alone as among others, in any order;
-/// - every row has as many equations as its layout says, and every name is unique.
+/// - every row has as many equations as its layout says, and every name is unique;
+/// - some equation depends on something: a position, an orientation, an unknown or an input.
 ///
 /// Fails where the machine has no pose in a row.
 pub fn check_observations(problem: &Problem, set: SetIndex) -> Result<Vec<String>> {
@@ -41,12 +42,22 @@ pub fn check_observations(problem: &Problem, set: SetIndex) -> Result<Vec<String
         found.push(alone.equations);
     }
     found.reverse();
+    if !found.is_empty() && !found.iter().any(depends) {
+        broken.push("no equation depends on a position, an orientation, an unknown or an input".to_owned());
+    }
     let alone = found.iter().flat_map(|equations| equations.residuals().iter().copied());
     let together = together.equations.residuals();
     if !alone.zip(together).all(|(one, other)| (one - other).abs() <= 1e-12 * one.abs().max(1.0)) {
         broken.push("a row gives other residuals alone than among others".to_owned());
     }
     Ok(broken)
+}
+
+/// Whether a derivative is not zero.
+fn depends(equations: &Equations) -> bool {
+    let of_poses = equations.by_position().iter().chain(equations.by_rotation()).flatten();
+    let others = equations.by_own().iter().chain(equations.by_input()).map(|by| &by.2);
+    of_poses.chain(others).any(|derivative| *derivative != 0.0)
 }
 
 fn spread(rows: &[RowIndex]) -> Vec<RowIndex> {

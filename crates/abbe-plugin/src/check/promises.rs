@@ -12,21 +12,34 @@ use super::Findings;
 use crate::float_control;
 use crate::loader::Library;
 
-/// Builds a stage and drops it.
-fn build(plugin: &Plugin, settings: &Value) -> Result<(), SettingsError> {
+/// A stage of any kind, which is kept and not used.
+pub(super) trait Kept {}
+
+impl<T> Kept for T {}
+
+/// Builds a stage.
+pub(super) fn built(plugin: &Plugin, settings: &Value) -> Result<Box<dyn Kept>, SettingsError> {
+    fn kept<T: 'static>(stage: T) -> Box<dyn Kept> {
+        Box::new(stage)
+    }
     let context = Context { base: std::env::temp_dir() };
     match &plugin.build {
-        Build::Ingest(constructor) => constructor.build(settings, &context).map(drop),
-        Build::Artefact(constructor) => constructor.build(settings, &context).map(drop),
-        Build::Model(constructor) => constructor.build(settings, &context).map(drop),
-        Build::Estimate(constructor) => constructor.build(settings, &context).map(drop),
-        Build::Validate(constructor) => constructor.build(settings, &context).map(drop),
-        Build::Export(constructor) => constructor.build(settings, &context).map(drop),
+        Build::Ingest(constructor) => constructor.build(settings, &context).map(kept),
+        Build::Artefact(constructor) => constructor.build(settings, &context).map(kept),
+        Build::Model(constructor) => constructor.build(settings, &context).map(kept),
+        Build::Estimate(constructor) => constructor.build(settings, &context).map(kept),
+        Build::Validate(constructor) => constructor.build(settings, &context).map(kept),
+        Build::Export(constructor) => constructor.build(settings, &context).map(kept),
     }
 }
 
+/// Builds a stage and drops it.
+fn build(plugin: &Plugin, settings: &Value) -> Result<(), SettingsError> {
+    built(plugin, settings).map(drop)
+}
+
 /// The machines of the library's models, built from their examples and without data.
-fn machines(library: &Library, findings: &mut Findings) -> Vec<(String, Arc<dyn KinematicModel>)> {
+pub(super) fn machines(library: &Library, findings: &mut Findings) -> Vec<(String, Arc<dyn KinematicModel>)> {
     let mut machines = Vec::new();
     for plugin in &library.plugins {
         let Build::Model(constructor) = &plugin.build else {

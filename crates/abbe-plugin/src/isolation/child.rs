@@ -3,12 +3,11 @@
 use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, OnceLock};
 
 use abbe_core::{Context, Error, Kind, Result};
 
+use super::time::Time;
 use super::wire::{Frame, Wire};
 use super::{Connection, Listed, locked};
 use crate::loader::{About, Library, hashed, load_sealed};
@@ -29,15 +28,15 @@ pub fn serve(path: &Path, sha256: &str, allowance: &Allowance) -> Result<()> {
         child: None,
         words: None,
         who: "the program".to_owned(),
-        answer_timeout: Duration::MAX,
-        was_silent: AtomicBool::new(false),
+        time: Time::unlimited(),
+        lost: OnceLock::new(),
     });
     let library = hashed(path, Some(sha256)).and_then(|hashed| hashed.sealed(path)).and_then(|sealed| {
         confine(allowance).map_err(|what| Error::data(format!("an isolated plugin cannot be confined: {what}")))?;
         load_sealed(path, sealed)
     });
     loop {
-        let Ok((question, numbers)) = locked(&connection.wire).read() else { return Ok(()) };
+        let Ok((question, numbers)) = locked(&connection.wire).read(None) else { return Ok(()) };
         let answer = match (question, &library) {
             (Frame::Release { object }, _) => {
                 locked(&connection.objects).served.remove(&object);
@@ -59,9 +58,9 @@ pub fn serve(path: &Path, sha256: &str, allowance: &Allowance) -> Result<()> {
         let lists: Vec<&[f64]> = numbers.iter().map(Vec::as_slice).collect();
         let mut wire = locked(&connection.wire);
         for object in std::mem::take(&mut *locked(&connection.released)) {
-            wire.write(&Frame::Release { object }, &[]).map_err(gone)?;
+            wire.write(&Frame::Release { object }, &[], None).map_err(gone)?;
         }
-        wire.write(&frame, &lists).map_err(gone)?;
+        wire.write(&frame, &lists, None).map_err(gone)?;
     }
 }
 

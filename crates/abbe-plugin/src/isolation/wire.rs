@@ -2,6 +2,7 @@
 
 use std::io::{self, Read, Write};
 use std::os::unix::net::UnixStream;
+use std::time::{Duration, Instant};
 
 use abbe_core::{Equations, Poses, Variable};
 use serde::{Deserialize, Serialize};
@@ -30,7 +31,10 @@ pub(super) enum Frame {
 }
 
 /// Largest accepted number of bytes or of numbers. A larger one is taken as an error of the other side.
-const LONGEST: usize = 1 << 28;
+const LONGEST: u64 = 1 << 28;
+
+/// Bytes for which there is room before they come.
+const AT_ONCE: u64 = 1 << 20;
 
 /// One end of the socket.
 pub(super) struct Wire {
@@ -43,35 +47,91 @@ impl Wire {
         Self { socket, buffer: Vec::new() }
     }
 
-    pub fn write(&mut self, frame: &Frame, numbers: &[&[f64]]) -> io::Result<()> {
-        self.buffer.clear();
-        self.buffer.extend_from_slice(&[0; 16]);
-        serde_json::to_writer(&mut self.buffer, frame)?;
-        let text = self.buffer.len() as u64 - 16;
-        let count = numbers.iter().map(|list| list.len() as u64).sum::<u64>();
-        self.buffer[..8].copy_from_slice(&text.to_le_bytes());
-        self.buffer[8..16].copy_from_slice(&count.to_le_bytes());
-        for number in numbers.iter().copied().flatten() {
-            self.buffer.extend_from_slice(&number.to_le_bytes());
-        }
-        self.socket.write_all(&self.buffer)
+    /// Writes a frame, until this moment at the latest.
+    pub fn write(&mut self, frame: &Frame, numbers: &[&[f64]], until: Option<Instant>) -> io::Result<()> {
+        encode(frame, numbers, &mut self.buffer)?;
+        Timed { socket: &self.socket, until }.write_all(&self.buffer)
     }
 
-    pub fn read(&mut self) -> io::Result<(Frame, Vec<f64>)> {
-        let mut lengths = [0; 16];
-        self.socket.read_exact(&mut lengths)?;
-        let length = |at: usize| lengths[at..at + 8].iter().rev().fold(0_u64, |all, byte| all << 8 | u64::from(*byte));
-        let (text, count) = (length(0) as usize, length(8) as usize);
-        if text > LONGEST || count > LONGEST {
-            return Err(io::Error::new(io::ErrorKind::InvalidData, "a frame says that it is longer than any is"));
-        }
-        self.buffer.resize(text + 8 * count, 0);
-        self.socket.read_exact(&mut self.buffer)?;
-        let (text, numbers) = self.buffer.split_at(text);
-        let frame = serde_json::from_slice(text)?;
-        let (numbers, _) = numbers.as_chunks::<8>();
-        Ok((frame, numbers.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect()))
+    /// Reads a frame, until this moment at the latest, however slowly it comes.
+    pub fn read(&mut self, until: Option<Instant>) -> io::Result<(Frame, Vec<f64>)> {
+        decode(Timed { socket: &self.socket, until }, &mut self.buffer)
     }
+}
+
+/// The socket up to a moment.
+struct Timed<'a> {
+    socket: &'a UnixStream,
+    until: Option<Instant>,
+}
+
+impl Timed<'_> {
+    /// What is left of the time.
+    fn left(&self) -> io::Result<Option<Duration>> {
+        let Some(until) = self.until else { return Ok(None) };
+        match until.saturating_duration_since(Instant::now()) {
+            Duration::ZERO => Err(io::Error::from(io::ErrorKind::TimedOut)),
+            left => Ok(Some(left)),
+        }
+    }
+}
+
+impl Read for Timed<'_> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        if let Some(left) = self.left()? {
+            self.socket.set_read_timeout(Some(left))?;
+        }
+        self.socket.read(into)
+    }
+}
+
+impl Write for Timed<'_> {
+    fn write(&mut self, from: &[u8]) -> io::Result<usize> {
+        if let Some(left) = self.left()? {
+            self.socket.set_write_timeout(Some(left))?;
+        }
+        self.socket.write(from)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// The bytes of a frame.
+pub(super) fn encode(frame: &Frame, numbers: &[&[f64]], into: &mut Vec<u8>) -> io::Result<()> {
+    into.clear();
+    into.extend_from_slice(&[0; 16]);
+    serde_json::to_writer(&mut *into, frame)?;
+    let text = into.len() as u64 - 16;
+    let count = numbers.iter().map(|list| list.len() as u64).sum::<u64>();
+    into[..8].copy_from_slice(&text.to_le_bytes());
+    into[8..16].copy_from_slice(&count.to_le_bytes());
+    for number in numbers.iter().copied().flatten() {
+        into.extend_from_slice(&number.to_le_bytes());
+    }
+    Ok(())
+}
+
+/// Reads a frame from its bytes. What a frame says of its length takes no memory before the bytes are there.
+pub(super) fn decode(mut from: impl Read, buffer: &mut Vec<u8>) -> io::Result<(Frame, Vec<f64>)> {
+    let mut lengths = [0; 16];
+    from.read_exact(&mut lengths)?;
+    let length = |at: usize| lengths[at..at + 8].iter().rev().fold(0_u64, |all, byte| all << 8 | u64::from(*byte));
+    let (text, count) = (length(0), length(8));
+    if text > LONGEST || count > LONGEST {
+        return Err(io::Error::new(io::ErrorKind::InvalidData, "a frame says that it is longer than any is"));
+    }
+    let all = text + 8 * count;
+    buffer.clear();
+    buffer.reserve(all.min(AT_ONCE) as usize);
+    if from.take(all).read_to_end(buffer)? as u64 != all {
+        return Err(io::Error::from(io::ErrorKind::UnexpectedEof));
+    }
+    let (text, numbers) = buffer.split_at(text as usize);
+    let frame = serde_json::from_slice(text)?;
+    let (numbers, _) = numbers.as_chunks::<8>();
+    Ok((frame, numbers.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect()))
 }
 
 /// Cuts numbers into lists.

@@ -190,8 +190,8 @@ pub fn full(program: &Path, stock: &Stock, random: &mut Random) -> Case {
     let (place, command) = command(random);
     let folder = stock.copy();
     let bounds = match random.chance(0.7) {
-        true => Bounds { file_size: Some(random.of(&[0, 1, 2, 4, 8, 16, 40, 100, 300])), open_files: None },
-        false => Bounds { file_size: None, open_files: Some(random.count(4, 16) as u64) },
+        true => Bounds { file_size: Some(random.of(&[0, 1, 2, 4, 8, 16, 40, 100, 300])), ..Bounds::default() },
+        false => Bounds { open_files: Some(random.count(4, 16) as u64), ..Bounds::default() },
     };
     let before = snapshot(folder.path());
     let end = ended(program, folder.path(), command.arguments, bounds);
