@@ -62,7 +62,7 @@ impl<'a> Reader<'a> {
         options: &'a Options,
         reads_corrected: bool,
     ) -> Self {
-        let klartext = (options.dialect == crate::dialect::Dialect::Heidenhain).then(crate::klartext::Program::default);
+        let klartext = (options.dialect == Dialect::Heidenhain).then(crate::klartext::Program::default);
         let modal = Modal::new(machine, options);
         Self { modal, options, build, reads_corrected, has_ended: false, mark: None, klartext }
     }
