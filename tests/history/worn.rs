@@ -43,7 +43,7 @@ fn changed(found: &Value) -> BTreeSet<&str> {
 }
 
 fn first_event(found: &Value) -> &Value {
-    &found["analysis"]["events"].as_array().and_then(|events| events.first()).expect("an event")
+    found["analysis"]["events"].as_array().and_then(|events| events.first()).expect("an event")
 }
 
 fn agrees(value: &Value, truth: f64) {

@@ -161,17 +161,15 @@ impl History {
     }
 
     fn stored(&self, statement: &str, given: &[Cell]) -> Result<Vec<(i64, Stored)>> {
-        let stored = |row| {
+        let line = |row| {
             let mut cells = Cells::new(row);
             let mut read = || {
                 let (entry, machine, label) = (cells.integer()?, cells.text()?, cells.text()?);
-                Some((entry, machine, label, cells.real()?, cells.text()?, cells.text()?))
+                Some(Line { entry, machine, label, at: cells.real()?, unit: cells.text()?, content: cells.text()? })
             };
-            let (entry, machine, label, at, unit, content) =
-                read().ok_or_else(|| self.damaged("its calibrations cannot be read"))?;
-            Ok((entry, Stored { machine, label, at, unit, calibration: Calibration::from_json(&content)? }))
+            read().ok_or_else(|| self.damaged("its calibrations cannot be read"))
         };
-        self.rows(statement, given)?.into_iter().map(stored).collect()
+        parsed(self.rows(statement, given)?.into_iter().map(line).collect::<Result<Vec<_>>>()?)
     }
 
     /// An entry as it was added; none if there is no entry of this number.
@@ -189,6 +187,36 @@ impl History {
             evidence: serde_json::from_str(&evidence).map_err(damaged)?,
         }))
     }
+}
+
+/// A row of calibrations as it is kept.
+struct Line {
+    entry: i64,
+    machine: String,
+    label: String,
+    at: f64,
+    unit: String,
+    content: String,
+}
+
+/// Lines of one thread at least: to start one takes longer than to read a few.
+const SHARE: usize = 16;
+
+/// The calibrations of lines, in their order. To read the texts is most of the work: all processors share it.
+fn parsed(lines: Vec<Line>) -> Result<Vec<(i64, Stored)>> {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let share = lines.len().div_ceil(threads).max(SHARE);
+    let calibrations = std::thread::scope(|scope| {
+        let read = |lines: &[Line]| lines.iter().map(|line| Calibration::from_json(&line.content)).collect();
+        let parts: Vec<_> = lines.chunks(share).map(|lines| scope.spawn(move || read(lines))).collect();
+        let stopped = |_| Err(Error::data("calibrations of the history could not be read"));
+        parts.into_iter().map(|part| part.join().unwrap_or_else(stopped)).collect::<Result<Vec<Vec<Calibration>>>>()
+    })?;
+    let stored = |(line, calibration): (Line, Calibration)| {
+        let Line { entry, machine, label, at, unit, .. } = line;
+        (entry, Stored { machine, label, at, unit, calibration })
+    };
+    Ok(lines.into_iter().zip(calibrations.into_iter().flatten()).map(stored).collect())
 }
 
 #[cfg(test)]

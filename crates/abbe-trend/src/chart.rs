@@ -37,13 +37,19 @@ pub struct ChartLimits {
 impl ChartDesign {
     /// The limits that give the run length, from the integral equations of the charts.
     pub fn limits(&self) -> ChartLimits {
-        let average = limit_for(self.run_length, 0.1, 6.0, |limit| weighted_average(self.weight, limit));
-        ChartLimits {
-            individuals: limit_for(self.run_length, 0.1, 8.0, individuals),
-            moving_range: limit_for(self.run_length, 0.1, 11.0, moving_range),
-            average: average * (self.weight / (2.0 - self.weight)).sqrt(),
-            sum: limit_for(self.run_length, 0.1, 30.0, |limit| cumulative_sum(self.reference, limit)),
-        }
+        // Each solves some systems of equations: together they take as long as the slowest.
+        std::thread::scope(|scope| {
+            let range = scope.spawn(|| limit_for(self.run_length, 0.1, 11.0, moving_range));
+            let sum =
+                scope.spawn(|| limit_for(self.run_length, 0.1, 30.0, |limit| cumulative_sum(self.reference, limit)));
+            let average = limit_for(self.run_length, 0.1, 6.0, |limit| weighted_average(self.weight, limit));
+            ChartLimits {
+                individuals: limit_for(self.run_length, 0.1, 8.0, individuals),
+                moving_range: range.join().unwrap_or(f64::INFINITY),
+                average: average * (self.weight / (2.0 - self.weight)).sqrt(),
+                sum: sum.join().unwrap_or(f64::INFINITY),
+            }
+        })
     }
 }
 
