@@ -289,6 +289,6 @@ fn every_attack_of_the_page_has_a_test() {
     ];
     for attack in attacks {
         let is_there = |row: &&str| row.split('|').nth(1).is_some_and(|what| what.contains(attack));
-        assert!(rows.iter().any(|row| is_there(row)), "no row about {attack}");
+        assert!(rows.iter().any(is_there), "no row about {attack}");
     }
 }
