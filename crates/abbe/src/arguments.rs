@@ -4,7 +4,6 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use abbe_engine::Control;
-use abbe_recipe::HistoryPlace;
 use clap::{Parser, Subcommand};
 
 use crate::interrupt::seconds;

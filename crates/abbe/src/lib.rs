@@ -46,16 +46,14 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use abbe_core::{Class, Error, Kind, Monitor, Origin, Result, harmless, harmless_json};
-use abbe_engine::{Control, can_write_folder, prepare};
+use abbe_engine::{can_write_folder, prepare};
 use abbe_plugin::Allowance;
 use abbe_plugin::check::Findings;
 use abbe_recipe::HistoryPlace;
 use abbe_report::plan_page;
 use arguments::{Arguments, Command, PluginCommand};
 use clap::Parser;
-use interrupt::seconds;
 use libraries::Libraries;
-use progress::Progress;
 use serde_json::Value;
 use terminal::{Harmless, tell};
 
