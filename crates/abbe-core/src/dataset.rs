@@ -1,6 +1,7 @@
 //! Data sets: named columns, one row a measurement.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
@@ -137,14 +138,17 @@ impl Dataset {
     ) -> Vec<(DataRow, DataRow)> {
         let compared = self.columns.iter().filter(|column| !counts_rows(column) && is_compared(column));
         let compared: Vec<&Column> = compared.collect();
-        let mut seen: BTreeMap<Vec<Cell<'_>>, DataRow> = BTreeMap::new();
+        let cells = |row: DataRow| compared.iter().map(move |column| Cell::of(column, row));
+        let digest = |row: DataRow| {
+            let mut hasher = DefaultHasher::new();
+            cells(row).for_each(|cell| cell.hash(&mut hasher));
+            hasher.finish()
+        };
+        // Rows are kept by a digest, which is small; whether they are the same is seen cell by cell.
+        let mut seen: BTreeMap<u64, DataRow> = BTreeMap::new();
         let mut repeated = Vec::new();
         for row in rows {
-            let cells = compared.iter().map(|column| match &column.values {
-                Values::Numbers(numbers) => Cell::Number(numbers[row].to_bits()),
-                Values::Labels(labels) => Cell::Label(&labels[row]),
-            });
-            if let Some(earlier) = seen.insert(cells.collect(), row) {
+            if let Some(earlier) = seen.insert(digest(row), row).filter(|earlier| cells(*earlier).eq(cells(row))) {
                 repeated.push((earlier, row));
             }
         }
@@ -276,8 +280,17 @@ fn counts_rows(column: &Column) -> bool {
 }
 
 /// A cell, to be compared with others.
-#[derive(PartialEq, Eq, PartialOrd, Ord)]
+#[derive(PartialEq, Eq, Hash)]
 enum Cell<'a> {
     Number(u64),
     Label(&'a str),
+}
+
+impl<'a> Cell<'a> {
+    fn of(column: &'a Column, row: DataRow) -> Self {
+        match &column.values {
+            Values::Numbers(numbers) => Self::Number(numbers[row].to_bits()),
+            Values::Labels(labels) => Self::Label(&labels[row]),
+        }
+    }
 }

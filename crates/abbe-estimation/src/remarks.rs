@@ -88,10 +88,6 @@ pub fn copied_runs(problem: &Problem) -> Vec<String> {
     let of_set = |(index, set): (SetIndex, &ObservationSet)| {
         let data = &set.info().layout.data;
         let rows: BTreeSet<DataRow> = set.rows.iter().filter_map(|&row| set.info().layout.rows[row].data_row).collect();
-        // Told already.
-        if data.copied_rows(rows.iter().copied(), IN_TURN, false).is_some() {
-            return None;
-        }
         let uncertainty = *uncertainties.get(&index)?;
         let columns = read_columns(set)?;
         let mut files: BTreeMap<usize, Vec<DataRow>> = BTreeMap::new();
@@ -99,6 +95,10 @@ pub fn copied_runs(problem: &Problem) -> Vec<String> {
         files.retain(|_, rows| columns.iter().any(|column| step(column, rows) < FINE * uncertainty));
         let fine: BTreeSet<DataRow> = files.into_values().flatten().collect();
         let (count, first) = data.copied_rows(fine, IN_TURN, true)?;
+        // Told already.
+        if data.copied_rows(rows.iter().copied(), IN_TURN, false).is_some() {
+            return None;
+        }
         let lines = first.map(|row| data.origins[row].line);
         let file = data.files.get(data.origins[first[1]].file).filter(|_| data.files.len() > 1);
         Some(format!(
