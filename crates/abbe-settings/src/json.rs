@@ -3,9 +3,8 @@
 use std::collections::BTreeSet;
 use std::fmt;
 
-use serde::de::{DeserializeOwned, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde::de::{DeserializeOwned, Error as _, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
-use serde_json::Value;
 
 /// Reads JSON; as [`serde_json::from_str`], but no map may have a key twice.
 ///
@@ -19,49 +18,6 @@ use serde_json::Value;
 pub fn from_json<T: DeserializeOwned>(text: &str) -> serde_json::Result<T> {
     serde_json::from_str::<UniqueKeys>(text)?;
     serde_json::from_str(text)
-}
-
-/// The value of a key of a JSON text that is a map; none if it is something else, or has not the key. No map may have a key twice.
-///
-/// Nothing else of the text is kept in memory.
-///
-/// ```
-/// let number = abbe_settings::value_in_json(r#"{ "abbe_run": 1, "inputs": [] }"#, "abbe_run")?;
-/// assert_eq!(number, Some(1.into()));
-/// # Ok::<(), serde_json::Error>(())
-/// ```
-///
-/// # Errors
-/// What is wrong, with line and column.
-pub fn value_in_json(text: &str, key: &str) -> serde_json::Result<Option<Value>> {
-    serde_json::from_str::<UniqueKeys>(text)?;
-    match text.trim_start().starts_with('{') {
-        true => serde_json::Deserializer::from_str(text).deserialize_map(OneKey(key)),
-        false => Ok(None),
-    }
-}
-
-/// The value of one key of a map.
-struct OneKey<'a>(&'a str);
-
-impl<'de> Visitor<'de> for OneKey<'_> {
-    type Value = Option<Value>;
-
-    fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str("a map")
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Option<Value>, A::Error> {
-        let mut found = None;
-        while let Some(key) = map.next_key::<String>()? {
-            if key == self.0 {
-                found = Some(map.next_value()?);
-            } else {
-                map.next_value::<IgnoredAny>()?;
-            }
-        }
-        Ok(found)
-    }
 }
 
 /// JSON of any kind whose maps have every key once.
@@ -125,7 +81,7 @@ impl<'de> Visitor<'de> for UniqueKeys {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde_json::json;
+    use serde_json::{Value, json};
 
     #[test]
     fn a_key_that_stands_twice_is_refused_wherever_it_is() {
@@ -142,17 +98,5 @@ mod tests {
         let fine = "{\"a\": [{\"a\": null}, {\"a\": true}, -1, 1.5, \"a\"], \"b\": {\"a\": 18446744073709551615}}";
         let expected = json!({ "a": [{ "a": null }, { "a": true }, -1, 1.5, "a"], "b": { "a": u64::MAX } });
         assert_eq!(from_json::<Value>(fine).unwrap(), expected);
-    }
-
-    #[test]
-    fn one_value_is_found_and_the_rest_is_checked() {
-        let found = |text: &str| value_in_json(text, "n");
-        assert_eq!(found(" { \"a\": { \"n\": 1 }, \"n\": [2] }").unwrap(), Some(json!([2])));
-        for other in ["{ \"a\": { \"n\": 1 } }", "[1]", "null", "\"n\"", "{}"] {
-            assert_eq!(found(other).unwrap(), None, "{other}");
-        }
-        for wrong in ["{ \"n\": 1, \"a\": { \"b\": 1, \"b\": 2 } }", "{ \"n\": 1", "", "{ \"n\": 1 } x"] {
-            assert!(found(wrong).is_err(), "{wrong}");
-        }
     }
 }
