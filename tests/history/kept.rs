@@ -1,8 +1,13 @@
 //! `abbe history`: what is added is there once, whoever is killed and however many write.
 
+use std::fs;
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use sha2::{Digest, Sha256};
 
 use crate::support::{Printed, Small, abbe, printed, program, read, root, temporary, write};
 
@@ -38,8 +43,22 @@ pub fn results(small: &Small, count: usize) -> Vec<String> {
             let text = text.replace("\"iterations\": ", &format!("\"iterations\": 1{number}"));
             write(&small.path(&format!("{}/{file}", name(number))), &text);
         }
+        record(&small.path(&name(number)));
     }
     (0..count).map(name).collect()
+}
+
+/// Makes the record of a run that of the files as they are now.
+fn record(folder: &Path) {
+    let file = folder.join("run.json");
+    let mut run: Value = serde_json::from_str(&read(&file)).expect("a record");
+    for output in run["outputs"].as_array_mut().expect("files") {
+        if let Ok(content) = fs::read(folder.join(output["file"].as_str().expect("a name"))) {
+            let hash = Sha256::digest(content);
+            output["sha256"] = hash.iter().map(|byte| format!("{byte:02x}")).collect::<String>().into();
+        }
+    }
+    write(&file, &run.to_string());
 }
 
 fn entries(small: &Small, plant: &Plant) -> usize {
@@ -199,6 +218,7 @@ fn machines_that_cannot_be_the_same_are_no_history() {
         write(&file, &text.replacen(chain, &chain.replace('B', "A"), 1));
         assert_ne!(text, read(&file), "{chain}");
     }
+    record(&small.path(&all[1]));
     for (number, folder) in all.iter().enumerate() {
         let date = format!("2026-01-0{}", 1 + number);
         let added = small.abbe(&["history", "add", "plant.sqlite", folder, "--date", &date, "--machine", "mill"]);
