@@ -108,8 +108,8 @@ pub fn kept_by_a_recipe(plant: &Plant) {
         assert_eq!(entries(&small, plant), 1);
     }
     let Some(password) = &plant.password else { return };
-    for file in std::fs::read_dir(small.path("out/recipe")).expect("results").flatten() {
-        let content = std::fs::read(file.path()).unwrap_or_default();
+    for file in fs::read_dir(small.path("out/recipe")).expect("results").flatten() {
+        let content = fs::read(file.path()).unwrap_or_default();
         assert!(!String::from_utf8_lossy(&content).contains(password.as_str()), "{}", file.path().display());
     }
 }
