@@ -117,7 +117,7 @@ fn what_is_no_result_is_refused() {
     told(&["report", "recipe.yaml"], "this is not a JSON file");
     assert_eq!(small.abbe(&["run", "recipe.yaml"]).status, 0);
     small.write("out/recipe/fine.residuals.csv", "a,b\n");
-    told(&["report", "out/recipe"], "this is no table of residuals");
+    told(&["report", "out/recipe"], "fine.residuals.csv: the file is not as the run wrote it");
 }
 
 /// Tools have no rows: their outliers and what is locked are told all the same.
