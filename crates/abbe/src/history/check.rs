@@ -72,7 +72,7 @@ pub enum ForecastAsked {
     RandomWalk,
 }
 
-/// What the tests of a machine tell.
+/// What the tests of a machine tell. Some of it is for the pages of `abbe serve` alone.
 #[cfg_attr(not(feature = "serve"), allow(dead_code))]
 pub struct Checked {
     /// The machine.
