@@ -288,6 +288,39 @@ fn runs_of_a_laser_that_are_copied_are_told() {
     assert_eq!(told(0, false), 0);
 }
 
+/// Touches in two files that two stages read: apart, and with rows of the first in the second.
+#[test]
+fn rows_that_are_copied_into_the_file_of_another_stage_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["first-steps"]);
+    let text = read(&recipe.path("touches", "path"));
+    let mut lines: Vec<&str> = text.lines().filter(|line| !line.starts_with('#')).collect();
+    let header = lines.remove(0);
+    let (first, second) = lines.split_at(lines.len() / 2);
+    let file = |name: &str, rows: &[&str]| {
+        let file = folder.path().join(name);
+        write(&file, &format!("{header}\n{}\n", rows.join("\n")));
+        json!(file)
+    };
+    let stages = recipe.0["stages"].as_object_mut().expect("stages");
+    let [mut touches, mut table] = ["touches", "table"].map(|name| stages[name].clone());
+    touches["path"] = file("second.csv", second);
+    table["from"] = json!("again");
+    stages.insert("again".to_owned(), touches);
+    stages.insert("table-again".to_owned(), table);
+    recipe.stage("touches")["path"] = file("first.csv", first);
+    recipe.stage("fit")["observations"] = json!(["table", "table-again"]);
+    recipe.stage("fit")["parameters"].as_array_mut().expect("a list").push(json!("table-again.*"));
+    let told = |recipe: &Variant| {
+        let (_, found) = summary(recipe, folder.path());
+        let told = |text: &&&str| text.contains("table and table-again: 30 rows have the same numbers");
+        texts(&found["remarks"]).iter().filter(told).count()
+    };
+    assert_eq!(told(&recipe), 0);
+    recipe.stage("again")["path"] = file("copied.csv", &[&second[..20], &first[40..70], &second[50..]].concat());
+    assert_eq!(told(&recipe), 1);
+}
+
 /// Files that were exchanged, and a certificate of another sphere, where the residuals of all rows stay near what is stated.
 #[test]
 fn files_whose_residuals_stand_out_are_told() {

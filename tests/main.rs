@@ -48,6 +48,7 @@ mod recipes;
 mod report;
 mod revisits;
 mod robots;
+mod row_order;
 mod rtest;
 mod selection;
 mod senses;

@@ -290,6 +290,14 @@ fn absurd_settings_are_refused() {
         let told = told(&recipe);
         assert!(told.contains(expected), "{path:?} = {value}: {told}");
     }
+    // A tool that is broken when it is worn.
+    for (limit, is_told) in [("499", false), ("500", true), ("40000", true)] {
+        let mut recipe = tools();
+        let table = recipe.path(&stage, "table");
+        recipe.stage(&stage)["table"] =
+            json!(changed(&table, folder.path(), "wear_limit_length_um", |_, _| limit.to_owned()));
+        assert_eq!(told(&recipe).contains("such a tool would never be worn"), is_told, "{limit}");
+    }
     let mut recipe = Variant::of(&recipes()["tango-hu40t"]).only(&["fit-S1"]);
     recipe.stage("table")["standard_uncertainty_um"] = json!(1e9);
     assert!(told(&recipe).contains("from 0 to 1e6"));

@@ -599,6 +599,19 @@ fn what_a_program_leaves_open_is_told_or_refused() {
     let found = compensate("fanuc", &fed, &zero);
     assert!(found.status == 1 && found.stderr.contains("part.nc:7:"), "{}", found.stderr);
     assert!(!at.join("new.nc").exists());
+    // Tool 2 with the length of tool 1.
+    write(&at.join("tool.tbl"), "T1 P1 Z120\nT2 P2 Z95\nT12 P12 Z95\n");
+    for (called, fits) in [("H1", false), ("H2", true), ("H12", true)] {
+        let program = change.replace("H2", called).replace("G21 G17", "T1 M6\nG21 G17");
+        let found = compensate("fanuc", &program, &["--tools", "tool.tbl", "--offset", "G54=X0,Y0,Z0"]);
+        assert_eq!(found.status, i32::from(!fits), "{called}: {}", found.stderr);
+        assert_eq!(
+            found.stderr.contains("part.nc:9:") && found.stderr.contains("tool 2 is in the spindle"),
+            !fits,
+            "{}",
+            found.stderr
+        );
+    }
     // With D1 nobody knows where SUPA leaves the tip: Z is not written until the program names it; with D0 it is known.
     for (edge, is_written) in [("D1", false), ("D0", true)] {
         let parked = format!("G71 G90 G17 G94\nG54\nD1\nG0 X0 Y0 Z50\n{edge}\nSUPA G0 Z200\nG0 X50\nD1\nG0 Z50\nM30\n");

@@ -202,6 +202,9 @@ fn a_check_needs_to_know_what_was_repeated() {
     assert!(check.status == 2 && check.stderr.contains("--estimate"), "{}", check.stderr);
     let check = small.abbe(&["history", "check", "plant.sqlite", "--estimate", "fine", "--limit", "EX0C=3furlong"]);
     assert!(check.status == 2 && check.stderr.contains("no unit"), "{}", check.stderr);
+    let added = small.abbe(&["history", "add", "absent/plant.sqlite", &all[0]]);
+    assert!(added.status == 2 && added.stderr.contains("its folder has to exist"), "{}", added.stderr);
+    assert!(!small.path("absent").exists());
 }
 
 #[test]

@@ -289,6 +289,16 @@ impl Modal {
         };
         // H0 is no tool.
         let on = on && number != Some(0);
+        if let Some((own, called)) = self.tool.zip(number).filter(|(own, called)| on && own != called)
+            && let [Some(of_own), Some(of_called)] = [own, called].map(|number| options.tools.length(number))
+            && of_own != of_called
+        {
+            let message = format!(
+                "tool {own} is in the spindle, {of_own} mm long, and the length of tool {called} is called, {of_called} mm"
+            );
+            let help = "if both numbers are meant for this tool, give the length of its tip: `--tool-length-mm`";
+            return Err(refused(word, &message, help));
+        }
         let length = match on {
             false => None,
             true => {

@@ -4,13 +4,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use abbe_core::{
-    Axis, AxisKind, Branch, Contact, DataRow, ObservationSet, Owner, ParameterRole, ProbeTerm, Problem, Quantity,
-    RowIndex, SetIndex, StatusRole,
+    Axis, AxisKind, Branch, Contact, ObservationSet, Owner, ParameterRole, ProbeTerm, Problem, Quantity, RowIndex,
+    SetIndex, StatusRole,
 };
 
 use crate::aliasing::aliased;
+use crate::copies::repeated;
 use crate::directions::turned;
 use crate::instruments::instruments;
+use crate::row_order::contradicted_by_order;
 
 /// Most forgotten unknowns that a remark names.
 const NAMED: usize = 3;
@@ -28,134 +30,8 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks.extend(missed(problem));
     remarks.extend(tilted_probe(problem));
     remarks.extend(turned(problem));
+    remarks.extend(contradicted_by_order(problem));
     remarks
-}
-
-/// Rows of a data set that are the same in every cell, but for a label that counts them: a file that was read twice, or a row that was
-/// copied.
-pub fn repeated(problem: &Problem) -> Vec<String> {
-    let mut remarks = Vec::new();
-    for set in &problem.sets {
-        let data = &set.info().layout.data;
-        let rows: BTreeSet<DataRow> = set.rows.iter().filter_map(|&row| set.info().layout.rows[row].data_row).collect();
-        let repeated = data.repeated_in_words(rows);
-        remarks.extend(repeated.map(|words| format!("{}: {words}; each counts as a measurement of its own", set.name)));
-    }
-    remarks
-}
-
-/// Sentences on readings that say less than they seem to: rows that are copies of others, and repetitions without scatter. They are
-/// for what was measured: rows of a plan are no readings.
-pub fn copies(problem: &Problem) -> Vec<String> {
-    [copied(problem), unscattered(problem)].concat()
-}
-
-/// Most rows in turn that may be those of earlier ones by chance.
-const IN_TURN: usize = 10;
-
-/// Rows of a data set that follow each other as earlier ones do, the same in every cell but for times and labels of repetitions. No
-/// machine repeats to the last digit so often.
-fn copied(problem: &Problem) -> Vec<String> {
-    let of_set = |set: &ObservationSet| {
-        let data = &set.info().layout.data;
-        let rows: BTreeSet<DataRow> = set.rows.iter().filter_map(|&row| set.info().layout.rows[row].data_row).collect();
-        let (count, first) = data.copied_rows(rows, IN_TURN, false)?;
-        let lines = first.map(|row| data.origins[row].line);
-        Some(format!(
-            "{}: {count} rows are those of earlier ones to the last digit, but for times and labels (the first: lines {} and {}): are \
-             they copies? Each counts as a measurement of its own",
-            set.name, lines[0], lines[1]
-        ))
-    };
-    problem.sets.iter().filter_map(of_set).collect()
-}
-
-/// Largest step of the digits of readings, over their standard uncertainty, with which they are told apart: then ten in turn agree by chance
-/// once in some hundred million runs (0.14 to the power of ten).
-const FINE: f64 = 0.5;
-
-/// Sentences on rows that follow each other as earlier ones do, the same in every number, whatever their labels say: one run, or what was
-/// touched at one indexation, in the place of another. Readings of coarse digits agree by chance and are not told. They are for data that
-/// are not exact: exact runs repeat to the last digit.
-pub fn copied_runs(problem: &Problem) -> Vec<String> {
-    let mut uncertainties: BTreeMap<SetIndex, f64> = BTreeMap::new();
-    let equations =
-        problem.equation_rows().into_iter().zip(problem.standard_uncertainties()).zip(problem.constraints());
-    for (((set, _), u), _) in equations.filter(|(_, is_known)| !is_known) {
-        let least = uncertainties.entry(set).or_insert(u);
-        *least = u.min(*least);
-    }
-    let of_set = |(index, set): (SetIndex, &ObservationSet)| {
-        let data = &set.info().layout.data;
-        let rows: BTreeSet<DataRow> = set.rows.iter().filter_map(|&row| set.info().layout.rows[row].data_row).collect();
-        let uncertainty = *uncertainties.get(&index)?;
-        let columns = read_columns(set)?;
-        let mut files: BTreeMap<usize, Vec<DataRow>> = BTreeMap::new();
-        rows.iter().for_each(|&row| files.entry(data.origins[row].file).or_default().push(row));
-        files.retain(|_, rows| columns.iter().any(|column| step(column, rows) < FINE * uncertainty));
-        let fine: BTreeSet<DataRow> = files.into_values().flatten().collect();
-        let (count, first) = data.copied_rows(fine, IN_TURN, true)?;
-        // Told already.
-        if data.copied_rows(rows.iter().copied(), IN_TURN, false).is_some() {
-            return None;
-        }
-        let lines = first.map(|row| data.origins[row].line);
-        let file = data.files.get(data.origins[first[1]].file).filter(|_| data.files.len() > 1);
-        Some(format!(
-            "{}: {count} rows have the numbers of earlier ones to the last digit under other labels (the first: lines {} and {}{}): are \
-                 they copies? Each counts as a measurement of its own",
-            set.name,
-            lines[0],
-            lines[1],
-            file.map_or(String::new(), |file| format!(" of `{}`", file.display()))
-        ))
-    };
-    SetIndex::enumerate(&problem.sets).filter_map(of_set).collect()
-}
-
-/// The columns of numbers that are measured.
-fn read_columns(set: &ObservationSet) -> Option<Vec<&[f64]>> {
-    let info = set.info();
-    let data = &info.layout.data;
-    let names: Vec<&str> = match &info.contact {
-        Contact::Reading(column) => vec![column],
-        Contact::Readings(columns) => columns.iter().map(String::as_str).collect(),
-        Contact::Pose { position, .. } => position.iter().map(String::as_str).collect(),
-        // Linear axes move until contact.
-        Contact::LinearAxes | Contact::NotSimulated(_) => data
-            .columns
-            .iter()
-            .filter(|column| column.header.quantity == Quantity::Length)
-            .map(|column| column.header.name.as_str())
-            .collect(),
-    };
-    names.into_iter().map(|name| data.numbers(name)).collect()
-}
-
-/// The smallest difference of two numbers of a column: the step of its digits.
-fn step(column: &[f64], rows: &[DataRow]) -> f64 {
-    let mut numbers: Vec<f64> = rows.iter().map(|&row| column[row]).filter(|number| number.is_finite()).collect();
-    numbers.sort_by(f64::total_cmp);
-    numbers.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).fold(f64::INFINITY, f64::min)
-}
-
-/// Scatter of repetitions, mm or rad, below which there is none.
-const NO_SCATTER: f64 = 1e-9;
-
-/// Repetitions without scatter, of which an uncertainty is made.
-fn unscattered(problem: &Problem) -> Vec<String> {
-    let is_still = |set: &&ObservationSet| {
-        let pooled = set.uncertainty.pooled.as_ref();
-        pooled.is_some_and(|pooled| pooled.deviations.iter().flatten().all(|off| off.abs() < NO_SCATTER))
-    };
-    let sentence = |set: &ObservationSet| {
-        format!(
-            "{}: the repetitions are the same to the last digit, so that their scatter tells no uncertainty: are they copies? State \
-             `standard_uncertainty_um` instead of `pooled`",
-            set.name
-        )
-    };
-    problem.sets.iter().filter(is_still).map(sentence).collect()
 }
 
 /// Times that fall in every row.

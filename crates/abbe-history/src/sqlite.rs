@@ -82,8 +82,7 @@ impl File {
     }
 
     fn configured(path: &Path, connection: rusqlite::Result<Connection>) -> Result<Self> {
-        let failed =
-            |error: rusqlite::Error| Error::usage(format!("the history {} cannot be opened: {error}", path.display()));
+        let failed = |error: rusqlite::Error| failed(path, &error);
         let connection = connection.map_err(failed)?;
         connection.busy_timeout(PATIENCE).map_err(failed)?;
         let file = Self { path: path.to_owned(), connection };
@@ -112,19 +111,7 @@ impl File {
     }
 
     fn failed(&self, error: &rusqlite::Error) -> Error {
-        use rusqlite::ErrorCode::{DatabaseBusy, DiskFull, NotADatabase, ReadOnly};
-        let path = self.path.display();
-        match error.sqlite_error_code() {
-            Some(NotADatabase) => Error::usage(format!("{path} is no history")).help("name another file"),
-            Some(DatabaseBusy) => {
-                let message = format!("{path} is being written by another program, for {} s now", PATIENCE.as_secs());
-                Error::data(message).help("try again; nothing was added")
-            }
-            Some(ReadOnly) => Error::usage(format!("{path} cannot be written")).help("nothing was added"),
-            Some(DiskFull) => Error::data(format!("the history {path} cannot be written: the disk is full"))
-                .help("make room, or name a file on another disk; nothing was added"),
-            _ => Error::data(format!("the history {path}: {error}")),
-        }
+        failed(&self.path, error)
     }
 
     /// Adds an entry in one transaction.
@@ -169,5 +156,39 @@ impl File {
 
     pub(crate) fn name(&self) -> String {
         self.path.display().to_string()
+    }
+}
+
+/// What SQLite could not do, with what its user can.
+fn failed(path: &Path, error: &rusqlite::Error) -> Error {
+    use rusqlite::ErrorCode::{
+        CannotOpen, DatabaseBusy, DatabaseCorrupt, DiskFull, NotADatabase, PermissionDenied, ReadOnly, SystemIoFailure,
+    };
+    let path = path.display();
+    let told = |what: &str, help: &str| Error::usage(format!("the history {path} cannot be {what}")).help(help);
+    match error.sqlite_error_code() {
+        Some(NotADatabase) => Error::usage(format!("{path} is no history")).help("name another file"),
+        Some(DatabaseBusy) => {
+            let message = format!("{path} is being written by another program, for {} s now", PATIENCE.as_secs());
+            Error::data(message).help("try again; nothing was added")
+        }
+        Some(ReadOnly | PermissionDenied) => told(
+            "written",
+            "nothing was added: this user may not write the file, or not make files beside it in its folder",
+        ),
+        Some(CannotOpen) => told(
+            "opened",
+            "its folder has to exist, and this user has to have the right to read and write the file and to make files beside it",
+        ),
+        Some(SystemIoFailure) => told(
+            &format!("read or written: {error}"),
+            "nothing was added: does the drive fail, is it full, or is it a network drive?",
+        ),
+        Some(DiskFull) => Error::data(format!("the history {path} cannot be written: the disk is full"))
+            .help("make room, or name a file on another disk; nothing was added"),
+        Some(DatabaseCorrupt) => {
+            Error::data(format!("the history {path} is damaged: {error}")).help("take the last copy that is whole")
+        }
+        _ => Error::data(format!("the history {path}: {error}")),
     }
 }

@@ -3,7 +3,7 @@
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use abbe_settings::{Error, Result, from_json};
+use abbe_settings::{Error, Result, from_json, value_in_json};
 
 /// A file format with a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,11 +22,10 @@ impl FileFormat {
     /// Fails on text that is no JSON, without a number or with another one, and on missing or wrong parts, with line and column.
     pub fn read<T: DeserializeOwned>(self, text: &str) -> Result<T> {
         let Self { name, key, .. } = self;
-        match parse(text)?.get(key) {
+        match value_in_json(text, key).map_err(|error| broken(&error))? {
             None => return Err(Error::data(format!("this is not a {name}: the key `{key}` is missing"))),
-            Some(found) => self.check(found)?,
+            Some(found) => self.check(&found)?,
         }
-        // Parsed again from the text, because a parsed value has no line numbers.
         serde_json::from_str(text).map_err(|error| Error::data(format!("this {name} is broken: {error}")))
     }
 
@@ -46,8 +45,13 @@ impl FileFormat {
 
 /// JSON of any kind, with every key once.
 pub(crate) fn parse(text: &str) -> Result<Value> {
-    from_json(text).map_err(|error| match error.is_data() {
+    from_json(text).map_err(|error| broken(&error))
+}
+
+/// JSON that cannot be read: a key that stands twice, or no JSON.
+fn broken(error: &serde_json::Error) -> Error {
+    match error.is_data() {
         true => Error::data(error.to_string()).help("keep the one that is right"),
         false => Error::data(format!("this is not a JSON file: {error}")),
-    })
+    }
 }

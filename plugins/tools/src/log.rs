@@ -79,7 +79,7 @@ pub fn tools(path: &Path, settings: &Settings) -> Result<Vec<(Tool, usize)>> {
             return Err(data.error_at(row, message).help("is it in the unit that its column says?"));
         }
         let breakage = settings.limits.breakage_um;
-        if tool.wear_limit[0] * 1e3 > breakage {
+        if tool.wear_limit[0] * 1e3 >= breakage * (1.0 - 1e-9) {
             let message = format!(
                 "{} of tool {name} is {} um, and a tool is broken that is short by more than {breakage} um (`breakage_um`)",
                 TABLE[2],

@@ -1,0 +1,54 @@
+//! Signs that the order of rows contradicts.
+
+use serde_json::json;
+
+use crate::misread::changed;
+use crate::support::{Variant, abbe, recipes, temporary};
+
+/// What a recipe says where columns of files of a stage have the other sign.
+fn negated(name: &str, stage: &str, columns: &[&str]) -> String {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()[name]);
+    let paths = recipe.stage(stage)["path"].clone();
+    let paths = paths.as_array().cloned().unwrap_or_else(|| vec![paths]);
+    let other = |(index, file): (usize, &serde_json::Value)| {
+        let mut file = std::path::PathBuf::from(file.as_str().expect("a path"));
+        for column in columns {
+            let own = folder.path().join(format!("{index}-{column}"));
+            std::fs::create_dir(&own).expect("a folder");
+            file = changed(&file, &own, column, |_, cell| match cell.strip_prefix('-') {
+                Some(positive) => positive.to_owned(),
+                None => format!("-{cell}"),
+            });
+        }
+        json!(file)
+    };
+    recipe.stage(stage)["path"] = paths.iter().enumerate().map(other).collect();
+    let file = recipe.write(folder.path());
+    let out = folder.path().join("out");
+    let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str(), "--out".as_ref(), out.as_os_str()]);
+    printed.stderr.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ")
+}
+
+const AGAINST: &str = "the axes move against";
+const ROUND: &str = "run round against the column `angle`";
+
+#[test]
+fn directions_that_are_turned_are_told_by_the_order_of_rows() {
+    for (columns, told) in [(&[][..], None), (&["direction"], Some("`dir_C`")), (&["dir_X", "dir_Y"], Some("`dir_X`"))]
+    {
+        let text = negated("standards-rtest", "c-turns", columns);
+        assert_eq!(text.contains(AGAINST), told.is_some(), "{columns:?}: {text}");
+        assert!(told.is_none_or(|told| text.contains(told)), "{columns:?}: {text}");
+    }
+    // Touches have an approach each: their order says nothing.
+    assert!(!negated("first-steps", "touches", &["dir_X"]).contains(AGAINST));
+}
+
+#[test]
+fn circles_that_run_against_their_angles_are_told() {
+    for (columns, told) in [(&[][..], false), (&["X_mm"], true), (&["X_mm", "Y_mm"], false)] {
+        let text = negated("standards-ball-bar", "circles", columns);
+        assert_eq!(text.contains(ROUND), told, "{columns:?}: {text}");
+    }
+}
