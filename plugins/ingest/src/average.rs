@@ -156,8 +156,8 @@ mod tests {
             found.into_iter().map(|(name, off)| (name.to_owned(), off)).collect::<Vec<_>>()
         };
         assert_eq!(found(0.0), []);
-        assert_eq!(found(0.01), []);
-        for offset in [0.1, -5.0, 20.0] {
+        assert_eq!(found(0.015), []);
+        for offset in [0.025, -0.1, -5.0, 20.0] {
             let found = found(offset);
             assert!(found.len() == 1 && found[0].0 == "c" && (found[0].1 - offset).abs() < 5e-3, "{found:?}");
         }
