@@ -48,7 +48,7 @@ pub fn measured(letter: &str) -> String {
 /// The lines after a move that nothing may stop, which raise an alarm if something did.
 pub fn watch(input: u32, number: u32, text: &str) -> Vec<String> {
     let mut lines = vec!["STOPRE".to_owned(), format!("IF {}>=1", touched(input))];
-    lines.extend(alarm(number, text));
+    lines.extend(alarm(number, text).into_iter().map(|line| format!("  {line}")));
     lines.push("ENDIF".to_owned());
     lines
 }
