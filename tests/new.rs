@@ -68,7 +68,15 @@ fn closed(chain: &str, method: &str, seed: u64) -> Result<(usize, f64), String> 
     // The same with the noise that the recipe states.
     if seed.is_multiple_of(NOISY) {
         let (length, angle) = noise(method);
-        let noisy = json!({ "parameters": truth, "noise": { "probing_sigma_mm": length, "orientation_sigma_rad": angle } });
+        // The tool that the exact measurements have is tilted by degrees, which would be told.
+        let upright =
+            |(name, value): (&String, &serde_json::Value)| match ["dat", "dbt", "dct"].contains(&name.as_str()) {
+                true => (name.clone(), json!(2e-3 * value.as_f64().expect("a number"))),
+                false => (name.clone(), value.clone()),
+            };
+        let truth: Map<_, _> = truth.iter().map(upright).collect();
+        let noisy =
+            json!({ "parameters": truth, "noise": { "probing_sigma_mm": length, "orientation_sigma_rad": angle } });
         write(&at.join("noisy.json"), &noisy.to_string());
         let simulated = prepared("begun/recipe.yaml").simulate(&at.join("noisy.json"), seed, None);
         simulated.and_then(|simulated| simulated.write(&at.join("noisy"))).expect("a folder");

@@ -262,16 +262,20 @@ pub(crate) fn minimise<P: LeastSquares + ?Sized>(
     let mut sizes = Sizes::default();
     // The rows at x while the factor is of an earlier iterate, and how far away that is.
     let (mut waiting, mut away): (Option<(Box<Accumulator>, Slope)>, f64) = (None, 0.0);
+    // Steps from gradients have the rounding of normal equations. Where that shows, or the end is near, own factors go on.
+    let (mut leading, mut may_lead) = (false, true);
     let mut trials = 0;
     for iterations in 1..=options.iterations {
         let led = waiting.as_ref().and_then(|(_, slope)| factor.step_along(&slope.gradient));
         let leads = |size: f64| {
             let fast = sizes.last.is_some_and(|last| LEADING * size <= last);
-            fast && (away <= options.rounding || !sizes.is_last(size, options))
+            may_lead && fast && (away <= options.rounding || !sizes.is_last(size, options))
         };
         if let Some((rows, _)) = waiting.take_if(|_| !led.as_ref().is_some_and(|(_, size)| leads(*size))) {
             (factor, away) = (rows.finish(), 0.0);
+            may_lead &= !leading;
         }
+        leading = waiting.is_some();
         let Some((step, size)) = (if waiting.is_some() { led } else { step_of(&factor) }) else {
             return Ok(Minimum { x, end: End::NoProgress, iterations, last_step: f64::NAN, factor });
         };
@@ -291,7 +295,7 @@ pub(crate) fn minimise<P: LeastSquares + ?Sized>(
         let Some(lower) = lower else {
             if let Some((rows, _)) = waiting.take() {
                 // The step of an earlier factor leads nowhere: that of the own one may.
-                (factor, away) = (rows.finish(), 0.0);
+                (factor, away, may_lead) = (rows.finish(), 0.0, false);
                 continue;
             }
             // No part of the step makes the sum smaller: the minimum within rounding, or the model is not smooth here.

@@ -8,7 +8,9 @@ use clap::{Parser, Subcommand};
 
 use crate::interrupt::seconds;
 use crate::progress::Progress;
-use crate::{compensate, correct, data, explain, history, machine, new, planning, serve, test};
+#[cfg(feature = "serve")]
+use crate::serve;
+use crate::{compensate, correct, data, explain, history, machine, new, planning, test};
 
 /// Calibrates machine tools and coordinate measuring machines from declared recipes.
 #[derive(Parser)]
