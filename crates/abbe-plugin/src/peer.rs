@@ -7,6 +7,7 @@ use std::sync::Arc;
 use abbe_core::{
     Class, Convergence, Equations, Error, PathItem, Place, Poses, RowBatch, SettingsError, Variable, from_json,
 };
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -54,8 +55,8 @@ pub(crate) struct Failure {
 }
 
 /// The text of [`ABBE_FAILED_WITH_DETAILS`].
-#[derive(Default, Deserialize)]
-struct Details {
+#[derive(Default, Deserialize, JsonSchema)]
+pub(crate) struct Details {
     message: String,
     #[serde(default)]
     help: Option<String>,
