@@ -63,8 +63,11 @@ fn in_floats(value: &Value) -> Value {
 
 fn examples() -> Vec<Vec<u8>> {
     let files = files_in(&root().join("docs/schemas/plugin"));
-    let texts: Vec<Vec<u8>> =
-        files.iter().filter(|file| file.extension().is_some_and(|end| end == "json")).map(|file| read(file).into_bytes()).collect();
+    let texts: Vec<Vec<u8>> = files
+        .iter()
+        .filter(|file| file.extension().is_some_and(|end| end == "json"))
+        .map(|file| read(file).into_bytes())
+        .collect();
     assert!(texts.len() > 30);
     texts
 }
@@ -101,10 +104,26 @@ fn the_c_header_refuses_what_is_no_json() {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 33) as usize % below
     };
-    let mut texts: Vec<Vec<u8>> = ["", " ", "[1,]", "{,}", "{\"a\"}", "01", "1.", "-", ".5", "1e", "nul", "\"\\x\"", "\"\t\"", "[1 2]", "{\"a\":1,}"]
-        .iter()
-        .map(|text| text.as_bytes().to_vec())
-        .collect();
+    let mut texts: Vec<Vec<u8>> = [
+        "",
+        " ",
+        "[1,]",
+        "{,}",
+        "{\"a\"}",
+        "01",
+        "1.",
+        "-",
+        ".5",
+        "1e",
+        "nul",
+        "\"\\x\"",
+        "\"\t\"",
+        "[1 2]",
+        "{\"a\":1,}",
+    ]
+    .iter()
+    .map(|text| text.as_bytes().to_vec())
+    .collect();
     texts.push(b"[".repeat(100_000));
     for seed in &seeds {
         let whole: Value = match serde_json::from_slice(seed) {

@@ -13,7 +13,8 @@ use crate::support::{Printed, Small, files_in, read, root, temporary, write};
 /// The blocks of a language in the page for vendors.
 fn blocks(language: &str) -> Vec<String> {
     let page = read(&root().join("docs/vendor-plugins.md"));
-    let blocks = page.split(&format!("```{language}\n")).skip(1);
+    let start = format!("```{language}\n");
+    let blocks = page.split(start.as_str()).skip(1);
     blocks.map(|block| block.split("```").next().expect("the block ends").to_owned()).collect()
 }
 

@@ -2,9 +2,7 @@
 
 use std::sync::OnceLock;
 
-use abbe_core::{
-    Calibration, ColumnHeader, Dataset, Findings, Identifiability, ModelInfo, MotionError, Target,
-};
+use abbe_core::{Calibration, ColumnHeader, Dataset, Findings, Identifiability, ModelInfo, MotionError, Target};
 use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, SchemaGenerator};
 use serde_json::{Map, Value, json};
@@ -85,7 +83,12 @@ static MESSAGES: [Kind; 20] = [
     kind(ABBE_INPUTS, "inputs", "Stages: the files that they read.", between::<(), Vec<InputText>>),
     kind(ABBE_HEADERS, "headers", "Ingest: the columns.", between::<(), Vec<ColumnHeader>>),
     kind(ABBE_READ, "read", "Ingest: the data set.", between::<(), Dataset>),
-    kind(ABBE_CHECK, "check", "Artefact: whether columns can be used. Object 0 is the machine.", between::<CheckText, ()>),
+    kind(
+        ABBE_CHECK,
+        "check",
+        "Artefact: whether columns can be used. Object 0 is the machine.",
+        between::<CheckText, ()>,
+    ),
     kind(
         ABBE_OBSERVE,
         "observe",

@@ -100,7 +100,11 @@ fn carried_out(arguments: Arguments) -> ExitCode {
             arguments.command,
             Command::Schema
                 | Command::Plugins { json: true, .. }
-                | Command::Plugin { command: PluginCommand::Check { json: true, .. } | PluginCommand::Test { .. } | PluginCommand::Messages }
+                | Command::Plugin {
+                    command: PluginCommand::Check { json: true, .. }
+                        | PluginCommand::Test { .. }
+                        | PluginCommand::Messages
+                }
         );
     let shown = |text: &str| {
         if is_json { harmless_json(text).into_owned() } else { brief::coloured(&harmless(text)).into_owned() }

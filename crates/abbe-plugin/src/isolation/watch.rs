@@ -20,7 +20,13 @@ pub(super) fn watch(child: &Arc<Mutex<Child>>, lost: &Arc<OnceLock<Failure>>, wh
     }
     let (child, lost, who) = (Arc::downgrade(child), lost.clone(), who.to_owned());
     let watcher = std::thread::Builder::new().name("plugin's threads".to_owned());
-    watcher.spawn(move || while is_in_order(&child, &lost, &who) { std::thread::sleep(PERIOD) }).map(drop)
+    watcher
+        .spawn(move || {
+            while is_in_order(&child, &lost, &who) {
+                std::thread::sleep(PERIOD)
+            }
+        })
+        .map(drop)
 }
 
 /// Whether the process goes on.
