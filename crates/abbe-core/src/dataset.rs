@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::PathBuf;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::index::{DataRow, IndexRange};
@@ -12,7 +13,7 @@ use abbe_settings::serial::numbers;
 use abbe_settings::{Error, Result, nearest};
 
 /// The name of a column, as found in a file's header.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ColumnHeader {
     /// Name without its unit: `X` of `X_mm`.
     pub name: String,
@@ -31,17 +32,21 @@ impl ColumnHeader {
 }
 
 /// The cells of a column.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Values {
     /// Numbers in the unit used in memory.
-    Numbers(#[serde(deserialize_with = "numbers")] Vec<f64>),
+    Numbers(
+        #[serde(deserialize_with = "numbers")]
+        #[schemars(with = "Vec<Option<f64>>")]
+        Vec<f64>,
+    ),
     /// Identifiers.
     Labels(Vec<String>),
 }
 
 /// A column: header and cells.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Column {
     /// Name and unit.
     pub header: ColumnHeader,
@@ -50,7 +55,7 @@ pub struct Column {
 }
 
 /// Where a row was read, so that messages and results can point at it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct RowOrigin {
     /// Index into [`Dataset::files`].
     pub file: usize,
@@ -61,7 +66,7 @@ pub struct RowOrigin {
 }
 
 /// Measurements as they come from ingest: named columns with units, one row a measurement.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct Dataset {
     /// The columns, all of the same length.
     pub columns: Vec<Column>,
@@ -80,7 +85,7 @@ pub struct Dataset {
 }
 
 /// The stylus tip with which the header of a file says that it was measured.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct StatedTip {
     /// Diameter, mm.
     pub diameter: f64,

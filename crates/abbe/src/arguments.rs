@@ -173,6 +173,8 @@ pub enum PluginCommand {
         #[arg(long)]
         json: bool,
     },
+    /// Print the JSON Schemas of all that a plugin is asked and answers, by the name of the message.
+    Messages,
     /// Run one test of a library in this process.
     #[command(hide = true)]
     Test {
