@@ -484,6 +484,8 @@ fn what_is_no_test_is_told_or_decides_nothing() {
     let words = ["are they copies?", "was anything measured?", "is the unit of the column right?"];
     for (name, ingest) in [
         ("positioning", "linear"),
+        ("positioning", "rotary"),
+        ("diagonals", "ppp"),
         ("circular", "slow"),
         ("cmm", "lengths"),
         ("cmm", "sphere"),
@@ -529,12 +531,17 @@ fn what_is_no_test_is_told_or_decides_nothing() {
         rows.iter_mut().for_each(|row| row[measured] = row[reference].clone());
     });
     assert!(remarks(&nothing).contains(words[1]), "{}", remarks(&nothing));
-    let quiet = told("circular", "slow", &|rows, place| {
-        let reading = place("reading_um");
-        rows.iter_mut()
-            .for_each(|row| row[reading] = format!("{}", 1e-3 * row[reading].parse::<f64>().expect("a number")));
-    });
-    assert!(remarks(&quiet).contains(words[2]), "{}", remarks(&quiet));
+    // Millimetres for micrometres.
+    for (name, ingest) in
+        [("circular", "slow"), ("positioning", "linear"), ("positioning", "rotary"), ("diagonals", "ppp")]
+    {
+        let quiet = told(name, ingest, &|rows, place| {
+            let reading = if ingest == "rotary" { place("reading_urad") } else { place("reading_um") };
+            rows.iter_mut()
+                .for_each(|row| row[reading] = format!("{}", 1e-3 * row[reading].parse::<f64>().expect("a number")));
+        });
+        assert!(remarks(&quiet).contains(words[2]), "{name} {ingest}: {}", remarks(&quiet));
+    }
     // Three rows decide nothing; nor does one diagonal of four.
     let short = told("rotary-interpolation", "read-c", &|rows, _| rows.truncate(3));
     let of_c: Vec<&Figure> = figures(&short, "c-axis").iter().filter(|figure| figure.limit.is_some()).collect();
