@@ -531,17 +531,17 @@ fn what_is_no_test_is_told_or_decides_nothing() {
         rows.iter_mut().for_each(|row| row[measured] = row[reference].clone());
     });
     assert!(remarks(&nothing).contains(words[1]), "{}", remarks(&nothing));
-    // Millimetres for micrometres.
-    for (name, ingest) in
-        [("circular", "slow"), ("positioning", "linear"), ("positioning", "rotary"), ("diagonals", "ppp")]
-    {
-        let quiet = told(name, ingest, &|rows, place| {
-            let reading = if ingest == "rotary" { place("reading_urad") } else { place("reading_um") };
-            rows.iter_mut()
-                .for_each(|row| row[reading] = format!("{}", 1e-3 * row[reading].parse::<f64>().expect("a number")));
-        });
+    // Millimetres for micrometres, and the same of angles.
+    let a_thousandth = |rows: &mut Cells, reading: usize| {
+        rows.iter_mut()
+            .for_each(|row| row[reading] = format!("{}", 1e-3 * row[reading].parse::<f64>().expect("a number")));
+    };
+    for (name, ingest) in [("circular", "slow"), ("positioning", "linear"), ("diagonals", "ppp")] {
+        let quiet = told(name, ingest, &move |rows, place| a_thousandth(rows, place("reading_um")));
         assert!(remarks(&quiet).contains(words[2]), "{name} {ingest}: {}", remarks(&quiet));
     }
+    let quiet = told("positioning", "rotary", &move |rows, place| a_thousandth(rows, place("reading_urad")));
+    assert!(remarks(&quiet).contains(words[2]), "{}", remarks(&quiet));
     // Three rows decide nothing; nor does one diagonal of four.
     let short = told("rotary-interpolation", "read-c", &|rows, _| rows.truncate(3));
     let of_c: Vec<&Figure> = figures(&short, "c-axis").iter().filter(|figure| figure.limit.is_some()).collect();
