@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::{Mutex, PoisonError};
 
 use abbe_core::Calibration;
 use serde_json::json;
@@ -33,6 +34,9 @@ fn profile() -> String {
 
 /// Builds the crate of the page as a vendor does, with these options of the compiler for it alone.
 fn from_the_page(folder: &Path, source: &str, options: &[&str]) -> PathBuf {
+    // All of them are built to one file, and copied from there.
+    static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let sdk = root().join("crates/abbe-plugin");
     let manifest = page().0.replace("../abbe/crates/abbe-plugin", &sdk.to_string_lossy());
     let package = "[package]\nname = \"vendor-list\"\nversion = \"1.2.3\"\nedition = \"2024\"\n\n";

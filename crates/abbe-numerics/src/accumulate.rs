@@ -17,28 +17,20 @@ const FEW: usize = 64;
 
 /// Reduces rows `[J | r]` of a least squares problem to their triangular factor.
 ///
-/// Rows are collected in a buffer. A full buffer is factorised, in blocks over the columns that are not zero in them: if measurements
-/// come run by run, most columns of unknowns of other runs are zero. The result is that of one QR of all rows, with the memory of
+/// Rows are collected in a buffer. A full buffer is factorised over the columns that are not zero in it: if measurements come
+/// run by run, most columns of unknowns of other runs are zero. The result is that of one QR of all rows, with the memory of
 /// the buffer only.
 pub struct Accumulator {
     unknowns: usize,
     /// Most rows of the buffer.
     capacity: usize,
-    /// Rows that are factorised together.
-    block: usize,
     /// Derivatives and residual of rows, one row after another.
     buffer: Vec<f64>,
+    filled: usize,
+    /// The columns that are not zero in the first half of the buffer.
+    present: Option<Vec<bool>>,
     rows: usize,
     done: Vec<Triangle>,
-}
-
-/// What rows say without their factor.
-#[derive(Debug, Clone)]
-pub(crate) struct Slope {
-    /// Sum of squares of r.
-    pub cost: f64,
-    /// Half of its gradient: `J^T r`.
-    pub gradient: Vec<f64>,
 }
 
 /// The factor of some rows, over the columns that are not zero in them.
@@ -76,76 +68,51 @@ impl Accumulator {
     /// For `unknowns` unknowns and about `rows` rows.
     pub fn new(unknowns: usize, rows: usize) -> Self {
         let width = unknowns + 1;
-        let capacity = rows.clamp(1, (BUFFER / width).max(3 * width)) + width;
-        let block = if unknowns <= FEW || rows <= BLOCK { capacity } else { BLOCK.max(2 * width).min(capacity) };
-        Self { unknowns, capacity, block, buffer: Vec::with_capacity(capacity * width), rows: 0, done: Vec::new() }
+        let capacity = match unknowns <= FEW || rows <= BLOCK {
+            true => rows.clamp(1, (BUFFER / width).max(3 * width)) + width,
+            false => BLOCK.max(2 * width),
+        };
+        Self {
+            unknowns,
+            capacity,
+            buffer: Vec::with_capacity(capacity * width),
+            filled: 0,
+            present: None,
+            rows: 0,
+            done: Vec::new(),
+        }
     }
 
     /// Adds one row, multiplied by `weight` (the square root of its statistical weight).
     pub fn push(&mut self, derivatives: &[f64], residual: f64, weight: f64) {
-        if self.filled() == self.capacity {
+        if self.filled == self.capacity || (self.filled >= self.capacity / 2 && self.is_of_others(derivatives)) {
             self.flush();
         }
         self.buffer.extend(derivatives.iter().map(|derivative| derivative * weight));
         self.buffer.push(residual * weight);
+        self.filled += 1;
         self.rows += 1;
     }
 
-    /// Rows in the buffer.
-    fn filled(&self) -> usize {
-        self.buffer.len() / (self.unknowns + 1)
+    /// Whether a row has unknowns that the buffer does not have: the first row of the next run.
+    fn is_of_others(&mut self, derivatives: &[f64]) -> bool {
+        if self.unknowns <= FEW {
+            return false;
+        }
+        let present = self.present.get_or_insert_with(|| present(&self.buffer, self.unknowns));
+        derivatives.iter().zip(present).any(|(derivative, present)| *derivative != 0.0 && !*present)
     }
 
-    /// What all rows say without their factor; none if some are factorised already.
-    pub(crate) fn slope(&self) -> Option<Slope> {
-        if !self.done.is_empty() {
-            return None;
-        }
-        let mut slope = Slope { cost: 0.0, gradient: vec![0.0; self.unknowns] };
-        for row in self.buffer.chunks_exact(self.unknowns + 1) {
-            let residual = row[self.unknowns];
-            slope.cost += residual * residual;
-            slope.gradient.iter_mut().zip(row).for_each(|(sum, derivative)| *sum += derivative * residual);
-        }
-        Some(slope)
-    }
-
-    /// Replaces the rows in the buffer by triangular factors of their blocks.
+    /// Replaces the rows in the buffer by their triangular factor.
     fn flush(&mut self) {
-        let width = self.unknowns + 1;
-        let buffer = std::mem::take(&mut self.buffer);
-        let mut left = buffer.as_slice();
-        while !left.is_empty() {
-            let (block, others) = left.split_at(self.block_of(left) * width);
-            self.factorise(block);
-            left = others;
-        }
-        self.buffer = buffer;
-        self.buffer.clear();
-    }
-
-    /// Number of the first of some rows that are factorised together: after half a block a row that has unknowns which these do not have
-    /// is the first one of the next run.
-    fn block_of(&self, rows: &[f64]) -> usize {
-        let width = self.unknowns + 1;
-        let (all, half) = (rows.len() / width, self.block / 2);
-        if self.unknowns <= FEW || all <= half {
-            return all.min(self.block);
-        }
-        let present = present(&rows[..half * width], self.unknowns);
-        let is_of_others =
-            |row: &[f64]| row.iter().zip(&present).any(|(derivative, present)| *derivative != 0.0 && !*present);
-        let further = rows[half * width..].chunks_exact(width).take(self.block - half);
-        half + further.take_while(|row| !is_of_others(row)).count()
-    }
-
-    /// Adds the triangular factor of a block of rows.
-    fn factorise(&mut self, block: &[f64]) {
-        let present = present(block, self.unknowns);
+        let present = present(&self.buffer, self.unknowns);
         let columns: Vec<usize> = (0..self.unknowns).filter(|&column| present[column]).collect();
         let width = self.unknowns + 1;
         let at = |column: usize| columns.get(column).copied().unwrap_or(self.unknowns);
-        let rows = Mat::from_fn(block.len() / width, columns.len() + 1, |row, column| block[row * width + at(column)]);
+        let rows = Mat::from_fn(self.filled, columns.len() + 1, |row, column| self.buffer[row * width + at(column)]);
+        self.buffer.clear();
+        self.present = None;
+        self.filled = 0;
         self.done.push(Triangle::of(columns, &rows));
         if self.done.iter().map(|triangle| triangle.values.nrows()).sum::<usize>() * (self.unknowns + 1) > BUFFER {
             let triangles = std::mem::take(&mut self.done);
@@ -156,8 +123,8 @@ impl Accumulator {
     /// The factor of all rows.
     pub fn finish(mut self) -> Factor {
         let all = (0..self.unknowns).collect();
-        if self.done.is_empty() && self.filled() <= self.block {
-            let rows = MatRef::from_row_major_slice(&self.buffer, self.filled(), self.unknowns + 1).to_owned();
+        if self.done.is_empty() {
+            let rows = MatRef::from_row_major_slice(&self.buffer, self.filled, self.unknowns + 1).to_owned();
             return self.factor(&Triangle::of(all, &rows));
         }
         self.flush();

@@ -126,13 +126,8 @@ impl Factor {
 
     /// The Gauss-Newton step `-R^-1 Q^T r` of a problem of full rank; None if R is singular.
     pub fn step(&self) -> Option<Vec<f64>> {
-        self.step_of(&self.right)
-    }
-
-    /// `-R^-1` times a right side; None if R is singular.
-    fn step_of(&self, right: &[f64]) -> Option<Vec<f64>> {
         let n = self.unknowns();
-        let mut step: Vec<f64> = right.iter().map(|value| -value).collect();
+        let mut step: Vec<f64> = self.right.iter().map(|value| -value).collect();
         for row in (0..n).rev() {
             let pivot = self.triangle[(row, row)];
             if pivot == 0.0 {
@@ -144,20 +139,6 @@ impl Factor {
             }
         }
         step.iter().all(|value| value.is_finite()).then_some(step)
-    }
-
-    /// The step `-(R^T R)^-1 g` for half of the gradient, `g = J^T r`, of rows elsewhere, and the change of all rows together by it,
-    /// `|R x|`; None if R is singular. Near the place of this factor it is almost the Gauss-Newton step there.
-    pub(crate) fn step_along(&self, gradient: &[f64]) -> Option<(Vec<f64>, f64)> {
-        let n = self.unknowns();
-        let mut right = vec![0.0; n];
-        for row in 0..n {
-            let known: f64 = (0..row).map(|above| self.triangle[(above, row)] * right[above]).sum();
-            right[row] = (gradient[row] - known) / self.triangle[(row, row)];
-        }
-        let size = norm(&right);
-        let step = self.step_of(&right)?;
-        size.is_finite().then_some((step, size))
     }
 
     /// Largest cosine of the angle between r and a column of J: zero at a minimum, and where r is zero.

@@ -1,6 +1,6 @@
 //! Gauss-Newton iteration with step control, optionally robust.
 
-use crate::accumulate::{Accumulator, Slope};
+use crate::accumulate::Accumulator;
 use crate::factor::Factor;
 use crate::reweighting::solve_robust;
 use crate::robust::{Robust, RobustReport};
@@ -135,15 +135,6 @@ pub(crate) fn factorise<P: LeastSquares + ?Sized>(
     x: &[f64],
     weights: Option<&[f64]>,
 ) -> Result<Factor, P::Error> {
-    accumulated(problem, x, weights).map(Accumulator::finish)
-}
-
-/// The rows of the problem at x, the same way.
-fn accumulated<P: LeastSquares + ?Sized>(
-    problem: &P,
-    x: &[f64],
-    weights: Option<&[f64]>,
-) -> Result<Accumulator, P::Error> {
     let unknowns = problem.unknowns();
     let mut accumulator = Accumulator::new(unknowns, problem.rows());
     problem.linearise(x, &mut |first, residuals, derivatives| {
@@ -152,41 +143,12 @@ fn accumulated<P: LeastSquares + ?Sized>(
             accumulator.push(&derivatives[row * unknowns..(row + 1) * unknowns], *residual, weight);
         }
     })?;
-    Ok(accumulator)
-}
-
-/// The rows at an iterate.
-enum Rows {
-    /// Not factorised: an earlier factor may lead on from here.
-    Waiting(Box<Accumulator>, Slope),
-    /// Factorised.
-    Done(Factor),
-}
-
-impl Rows {
-    /// Rows of a problem that is larger than the buffer are factorised as they come.
-    fn new(rows: Accumulator) -> Self {
-        match rows.slope() {
-            Some(slope) => Self::Waiting(Box::new(rows), slope),
-            None => Self::Done(rows.finish()),
-        }
-    }
-
-    /// Sum of squares; none where it, or a derivative, is not finite.
-    fn cost(&self) -> Option<f64> {
-        let (cost, derivatives) = match self {
-            Self::Waiting(_, slope) => (slope.cost, slope.gradient.as_slice()),
-            Self::Done(factor) => (factor.cost(), factor.norms()),
-        };
-        derivatives.iter().all(|value| value.is_finite()).then_some(cost)
-    }
+    Ok(accumulator.finish())
 }
 
 /// Minimises the sum of squares from `start`; see [`Options`].
 ///
-/// Every step is that of the linearised problem, columns scaled, and is halved while it does not make the sum of squares smaller, or leads
-/// to where nothing can be evaluated. As long as steps shrink fast the factor of an earlier iterate gives them, from the gradient where
-/// they begin (simplified Newton method; Deuflhard 2004, 2.1.2); the last one is of a factor that is a small step away.
+/// Every step is that of the linearised problem, columns scaled, and is halved while it does not make the sum of squares smaller, or leads to where nothing can be evaluated.
 ///
 /// Fails if the start cannot be evaluated. Fails with the last error if no part of a step can be evaluated, and at once with
 /// an error that is final ([`LeastSquares::is_final`]), unless the time is over and there is an iterate.
@@ -249,9 +211,6 @@ fn step_of(factor: &Factor) -> Option<(Vec<f64>, f64)> {
     size.is_finite().then_some((step, size))
 }
 
-/// The last step was so many times as large if an earlier factor may give the next one: its directions are almost right then.
-const LEADING: f64 = 10.0;
-
 pub(crate) fn minimise<P: LeastSquares + ?Sized>(
     problem: &P,
     mut x: Vec<f64>,
@@ -259,114 +218,60 @@ pub(crate) fn minimise<P: LeastSquares + ?Sized>(
     weights: Option<&[f64]>,
     options: &Options,
 ) -> Result<Minimum, P::Error> {
-    let mut sizes = Sizes::default();
-    // The rows at x while the factor is of an earlier iterate, and how far away that is.
-    let (mut waiting, mut away): (Option<(Box<Accumulator>, Slope)>, f64) = (None, 0.0);
-    // Steps from gradients have the rounding of normal equations. Where that shows, or the end is near, own factors go on.
-    let (mut leading, mut may_lead) = (false, true);
+    // Size of the last step if it was a full one, its ratio to the one before, and the size of the smallest.
+    let (mut last, mut last_ratio, mut smallest) = (None, None, f64::INFINITY);
     let mut trials = 0;
     for iterations in 1..=options.iterations {
-        let led = waiting.as_ref().and_then(|(_, slope)| factor.step_along(&slope.gradient));
-        let leads = |size: f64| {
-            let fast = sizes.last.is_some_and(|last| LEADING * size <= last);
-            may_lead && fast && (away <= options.rounding || !sizes.is_last(size, options))
-        };
-        if let Some((rows, _)) = waiting.take_if(|_| !led.as_ref().is_some_and(|(_, size)| leads(*size))) {
-            (factor, away) = (rows.finish(), 0.0);
-            may_lead &= !leading;
-        }
-        leading = waiting.is_some();
-        let Some((step, size)) = (if waiting.is_some() { led } else { step_of(&factor) }) else {
+        let Some((step, size)) = step_of(&factor) else {
             return Ok(Minimum { x, end: End::NoProgress, iterations, last_step: f64::NAN, factor });
         };
-        let minimum = |x, end, iterations, factor| Minimum { x, end, iterations, last_step: size, factor };
-        if sizes.is_last(size, options) {
+        let small = size < options.rounding;
+        let ratio = last.map(|last: f64| size / last);
+        // A ratio can be small by chance, or because of one fast direction. So the larger of two ratios is used.
+        let slower = ratio.zip(last_ratio).map(|(one, other): (f64, f64)| one.max(other));
+        let left = slower.filter(|ratio| *ratio < 1.0).map(|ratio| remaining(size, ratio));
+        let (near, far) =
+            (left.is_some_and(|left| left <= options.tolerance), left.is_some_and(|left| left > options.tolerance));
+        if (size <= options.tolerance && !far) || (small && (near || size >= smallest)) {
             add(&mut x, &step, 1.0);
-            return Ok(minimum(x, End::Converged, iterations, factor));
+            return Ok(Minimum { x, end: End::Converged, iterations, last_step: size, factor });
         }
-        let cost = waiting.as_ref().map_or_else(|| factor.cost(), |(_, slope)| slope.cost);
-        let lower = match downhill(problem, (&x, &step), cost, weights) {
+        smallest = smallest.min(size);
+        let lower = match downhill(problem, (&x, &step), factor.cost(), weights) {
             Err(error) if problem.is_out_of_time(&error) => {
-                let factor = waiting.map_or(factor, |(rows, _)| rows.finish());
-                return Ok(minimum(x, End::TimeLimit, iterations - 1, factor));
+                return Ok(Minimum { x, end: End::TimeLimit, iterations: iterations - 1, last_step: size, factor });
             }
             lower => lower?,
         };
-        let Some(lower) = lower else {
-            if let Some((rows, _)) = waiting.take() {
-                // The step of an earlier factor leads nowhere: that of the own one may.
-                (factor, away, may_lead) = (rows.finish(), 0.0, false);
-                continue;
+        match lower {
+            Some(lower) => {
+                problem.has_stepped(iterations, size * lower.part);
+                trials += lower.trials;
+                if trials > TRIALS * options.iterations {
+                    // Steps that are cut go too far: less than the last one is left.
+                    let end = if size <= CUT { End::Converged } else { End::IterationLimit };
+                    return Ok(Minimum { x: lower.x, end, iterations, last_step: size, factor: lower.factor });
+                }
+                let whole = lower.part == 1.0;
+                (x, factor) = (lower.x, lower.factor);
+                last = whole.then_some(size);
+                last_ratio = ratio.filter(|_| whole);
             }
-            // No part of the step makes the sum smaller: the minimum within rounding, or the model is not smooth here.
-            let end = if size < options.rounding { End::Converged } else { End::NoProgress };
-            return Ok(minimum(x, end, iterations, factor));
-        };
-        problem.has_stepped(iterations, size * lower.part);
-        trials += lower.trials;
-        sizes.add(size, lower.part == 1.0);
-        (x, away) = (lower.x, away + size * lower.part);
-        waiting = None;
-        match lower.rows {
-            Rows::Waiting(rows, slope) => waiting = Some((rows, slope)),
-            Rows::Done(own) => (factor, away) = (own, 0.0),
-        }
-        if trials > TRIALS * options.iterations {
-            // Steps that are cut go too far: less than the last one is left.
-            let end = if size <= CUT { End::Converged } else { End::IterationLimit };
-            let factor = waiting.map_or(factor, |(rows, _)| rows.finish());
-            return Ok(minimum(x, end, iterations, factor));
+            None => {
+                // No part of the step makes the sum smaller: the minimum within rounding, or the model is not smooth here.
+                let end = if small { End::Converged } else { End::NoProgress };
+                return Ok(Minimum { x, end, iterations, last_step: size, factor });
+            }
         }
     }
-    let factor = waiting.map_or(factor, |(rows, _)| rows.finish());
     let next = step_of(&factor).map_or(f64::NAN, |(_, size)| size);
-    let end = if next <= CUT && sizes.left_after(next) <= CUT { End::Converged } else { End::IterationLimit };
+    let left = match (last, last_ratio) {
+        (None, _) => next,
+        (Some(last), Some(other)) => remaining(next, other.max(next / last)),
+        (Some(_), None) => f64::INFINITY,
+    };
+    let end = if next <= CUT && left <= CUT { End::Converged } else { End::IterationLimit };
     Ok(Minimum { x, end, iterations: options.iterations, last_step: next, factor })
-}
-
-/// The sizes of the steps so far.
-#[derive(Default)]
-struct Sizes {
-    /// That of the last step, if it was a full one, and its ratio to the one before.
-    last: Option<f64>,
-    last_ratio: Option<f64>,
-    /// That of the smallest.
-    smallest: Option<f64>,
-}
-
-impl Sizes {
-    /// Whether a step of this size is the last one, by the rules 1 to 3 of [`Options`].
-    fn is_last(&self, size: f64, options: &Options) -> bool {
-        let small = size < options.rounding;
-        // A ratio can be small by chance, or because of one fast direction. So the larger of two ratios is used.
-        let slower = self.ratio(size).zip(self.last_ratio).map(|(one, other): (f64, f64)| one.max(other));
-        let left = slower.filter(|ratio| *ratio < 1.0).map(|ratio| remaining(size, ratio));
-        let near = left.is_some_and(|left| left <= options.tolerance);
-        let far = left.is_some_and(|left| left > options.tolerance);
-        let is_rounding = self.smallest.is_some_and(|smallest| size >= smallest);
-        (size <= options.tolerance && !far) || (small && (near || is_rounding))
-    }
-
-    fn ratio(&self, size: f64) -> Option<f64> {
-        self.last.map(|last| size / last)
-    }
-
-    /// Adds a step that was taken.
-    fn add(&mut self, size: f64, whole: bool) {
-        let ratio = self.ratio(size);
-        self.smallest = Some(self.smallest.map_or(size, |smallest| smallest.min(size)));
-        self.last = whole.then_some(size);
-        self.last_ratio = ratio.filter(|_| whole);
-    }
-
-    /// What is left after a step of this size.
-    fn left_after(&self, size: f64) -> f64 {
-        match (self.last, self.last_ratio) {
-            (None, _) => size,
-            (Some(last), Some(other)) => remaining(size, other.max(size / last)),
-            (Some(_), None) => f64::INFINITY,
-        }
-    }
 }
 
 /// What is left after a step of this size if steps go on shrinking by this ratio.
@@ -377,7 +282,7 @@ fn remaining(size: f64, ratio: f64) -> f64 {
 /// End point of a part of a step that does not make the sum of squares larger.
 struct Lower {
     x: Vec<f64>,
-    rows: Rows,
+    factor: Factor,
     /// The part of the step.
     part: f64,
     /// How many parts were tried.
@@ -392,7 +297,7 @@ const TRIALS: usize = 3;
 const CUT: f64 = 1e-6;
 
 /// The first of a step from x, its half, its quarter and so on that does not make the sum of squares larger than `cost`, with the
-/// rows there and the part that it is; None if no part does.
+/// factor there and the part that it is; None if no part does.
 fn downhill<P: LeastSquares + ?Sized>(
     problem: &P,
     (x, step): (&[f64], &[f64]),
@@ -404,11 +309,12 @@ fn downhill<P: LeastSquares + ?Sized>(
         let mut trial = x.to_vec();
         trials += 1;
         add(&mut trial, step, part);
-        match accumulated(problem, &trial, weights).map(Rows::new) {
-            Ok(rows) => {
+        match factorise(problem, &trial, weights) {
+            Ok(factor) => {
                 evaluated = true;
-                if rows.cost().is_some_and(|there| there <= cost * (1.0 + 1e-12) + f64::MIN_POSITIVE) {
-                    return Ok(Some(Lower { x: trial, rows, part, trials }));
+                let differentiable = factor.norms().iter().all(|norm| norm.is_finite());
+                if differentiable && factor.cost() <= cost * (1.0 + 1e-12) + f64::MIN_POSITIVE {
+                    return Ok(Some(Lower { x: trial, factor, part, trials }));
                 }
             }
             Err(error) if problem.is_final(&error) => return Err(error),
