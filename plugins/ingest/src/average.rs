@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{Column, DataRow, Dataset, Error, PathItem, Quantity, Result, Values};
+use abbe_estimation::repeated_in_words;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -36,7 +37,7 @@ impl Average {
         };
         let series = labels("over", &self.over)?;
         let by = self.by.iter().map(|name| labels("by", name)).collect::<Result<Vec<_>>>()?;
-        if let Some(words) = data.repeated_in_words(data.row_indices()) {
+        if let Some(words) = repeated_in_words(data, data.row_indices()) {
             tracing::warn!("{words}; each counts in the means as a measurement of its own");
         }
         let mut times: BTreeMap<(Vec<&str>, &str), usize> = BTreeMap::new();
