@@ -50,7 +50,10 @@ pub(crate) fn heard(who: &str, method: u32, question: &str, answer: &Result<Answ
     };
     let of_observations = answered.as_ref().is_some_and(|answer| answer.get("layout").is_some());
     let named = MESSAGES.iter().filter(|message| message.method == method);
-    let Some(named) = named.clone().find(|message| message.is_of_observations == of_observations).or(named.last())
+    let Some(named) = named
+        .clone()
+        .find(|message| message.is_of_observations == of_observations)
+        .or_else(|| named.clone().next_back())
     else {
         return;
     };
