@@ -59,7 +59,7 @@ fn same_in(
     repeated
 }
 
-/// The [repeated rows](repeated_rows) in words, with the lines of the first.
+/// The repeated rows in words, with the lines of the first.
 pub fn repeated_in_words(data: &Dataset, rows: impl IntoIterator<Item = DataRow>) -> Option<String> {
     let repeated = repeated_rows(data, rows);
     let &(one, other) = repeated.first()?;
