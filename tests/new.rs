@@ -120,7 +120,7 @@ const MISTAKES: [&str; 14] = [
 
 /// Which chains are tried, `SHARDS [SHARD [SEED]]`: every so many, from this one on, with truths of this seed.
 fn shard() -> [usize; 3] {
-    let Ok(text) = std::env::var("ABBE_NEW_CHAINS") else { return [211, 0, 0] };
+    let Ok(text) = std::env::var("ABBE_NEW_CHAINS") else { return [421, 0, 0] };
     let numbers: Vec<usize> =
         text.split(' ').map(|number| number.parse().expect("ABBE_NEW_CHAINS: numbers")).chain([0, 0]).take(3).collect();
     let [shards, shard, seed] = numbers[..] else { panic!("ABBE_NEW_CHAINS: three numbers at most, not `{text}`") };
