@@ -386,7 +386,7 @@ fn centres_that_are_fitted_first_hang_on_the_stylus_as_touches_do() {
     for balls in ["balls", "centres"] {
         recipe = recipe.set(balls, "stylus_radius_standard_uncertainty_um", radius.clone());
     }
-    recipe.0["stages"]["trials"] = json!({ "estimate": "monte-carlo", "of": "fit-centres", "trials": 1000 });
+    recipe.0["stages"]["trials"] = json!({ "estimate": "monte-carlo", "of": "fit-centres", "trials": 2000 });
     let outcome = recipe.run();
     let centres = &fit(&outcome, "fit-centres").calibration;
     // Four touches on the equator and one on the pole: a larger stylus puts every centre lower by as much, as a longer tool does.
@@ -394,8 +394,8 @@ fn centres_that_are_fitted_first_hang_on_the_stylus_as_touches_do() {
     assert!((by_stylus / 5e-3 - 1.0).abs() < 0.1, "{by_stylus:e}");
     let trials = fit(&outcome, "trials").calibration.get("dzt").expect("estimated").standard_uncertainty;
     let stated = budget(centres, "dzt").standard_uncertainty;
-    // 1000 trials: a standard deviation of 2.2 %.
-    assert!((trials / stated - 1.0).abs() < 0.08, "{trials:e} by trials, {stated:e} by propagation");
+    // 2000 trials: a standard deviation of 1.6 %.
+    assert!((trials / stated - 1.0).abs() < 0.07, "{trials:e} by trials, {stated:e} by propagation");
 }
 
 #[test]
