@@ -18,7 +18,7 @@ const fn border(name: &'static str, uses: &'static [&'static str]) -> Border {
 }
 
 /// The folder `crates`: arrows point one way, see docs/architecture.md.
-const CRATES: [Border; 28] = [
+const CRATES: [Border; 29] = [
     border("abbe-settings", &[]),
     border("abbe-files", &[]),
     border("abbe-results", &["abbe-settings"]),
@@ -29,6 +29,7 @@ const CRATES: [Border; 28] = [
     border("abbe-kinematics", &["abbe-core"]),
     border("abbe-standards", &["abbe-geometry", "abbe-results"]),
     border("abbe-table", &["abbe-core", "abbe-files"]),
+    border("abbe-dcc", &["abbe-core", "abbe-files"]),
     border("abbe-thermal", &["abbe-core", "abbe-numerics"]),
     border("abbe-probe", &["abbe-core", "abbe-table"]),
     Border {
@@ -99,9 +100,10 @@ const CRATES: [Border; 28] = [
 const ABOVE_ALL: [&str; 4] = ["abbe-benches", "abbe-campaigns", "abbe-examples", "abbe-tests"];
 
 /// The crates that plugins may use.
-const FOR_PLUGINS: [&str; 16] = [
+const FOR_PLUGINS: [&str; 17] = [
     "abbe-compensation",
     "abbe-core",
+    "abbe-dcc",
     "abbe-errors",
     "abbe-estimation",
     "abbe-files",
