@@ -169,10 +169,11 @@ fn measurement(draft: &Draft) -> String {
 
 /// A value with its expanded uncertainty to two significant digits of the latter (GUM 7.2.6).
 fn rounded(value: f64, expanded: f64) -> [String; 2] {
-    let decimals = 1 - expanded.log10().floor() as i32;
-    match (0..=9).contains(&decimals) && expanded > 0.0 {
-        true => [value, expanded].map(|number| format!("{number:.*}", decimals as usize)),
-        false => [format!("{value:.3e}"), format!("{expanded:.1e}")],
+    // A rehearsal has uncertainties of zero.
+    let decimals = if expanded > 0.0 && expanded.is_finite() { 1 - expanded.log10().floor() as i32 } else { -1 };
+    match usize::try_from(decimals).ok().filter(|decimals| *decimals <= 9) {
+        Some(decimals) => [value, expanded].map(|number| format!("{number:.decimals$}")),
+        None => [format!("{value:.3e}"), format!("{expanded:.1e}")],
     }
     .map(|number| match number.trim_matches(['-', '0', '.']).is_empty() {
         true => number.trim_start_matches('-').to_owned(),
