@@ -11,7 +11,7 @@ use crate::support::{SMALL, Small, json_file, read, registry, skipped, write};
 
 /// Positions of the machine of the small recipe, two runs.
 const POINTS: &str = "feature,run,X_mm,Y_mm,Z_mm,B_deg,C_deg,x_mm,y_mm,z_mm\n\
-    a & b,1,10,20,-30,0,0,10,20,-130\nc,1,-40,5,-20,0,30,1,2,3\na & b,2,10.001,20,-30,0,0,10,20,-130\n";
+    a & b,1,10,20,230,0,0,10,20,-130\nc,1,-40,5,220,0,30,1,2,3\na & b,2,10.001,20,230,0,0,10,20,-130\n";
 
 /// A small recipe with these stages behind it; its run, with what it prints.
 fn run(stages: &str) -> (Small, String) {
