@@ -83,7 +83,8 @@ fn ingested(reader: &str, file: &Path) -> Dataset {
     let Build::Ingest(constructor) = &registry().find(Kind::Ingest, reader).expect("a reader").build else {
         panic!("{reader} reads nothing")
     };
-    let stage = constructor.build(&json!({ "path": file }), &Context { base: file.parent().expect("a folder").to_owned() });
+    let stage =
+        constructor.build(&json!({ "path": file }), &Context { base: file.parent().expect("a folder").to_owned() });
     stage.expect("settings").read().expect("data")
 }
 
