@@ -212,8 +212,11 @@ impl Machine {
 
     /// Positions of the axes.
     pub fn joints(&self, space: Space, points: &[Point]) -> Result<Vec<Coordinates>> {
-        let statuses = self.statuses(space, points)?;
         let mut found: Vec<Coordinates> = points.iter().map(|point| point.at).collect();
+        if space == Space::Joints {
+            return Ok(found);
+        }
+        let statuses = self.statuses(space, points)?;
         for (at, status) in found.iter_mut().zip(statuses.chunks(self.base.len())) {
             self.axes.iter().for_each(|(place, column, factor)| at[*place] = status[*column] / factor);
         }

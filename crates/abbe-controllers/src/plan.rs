@@ -38,7 +38,7 @@ pub(crate) struct Piece {
 
 /// A move with its pieces.
 pub(crate) struct Planned {
-    pub(crate) of: Move,
+    pub(crate) of: Box<Move>,
     pub(crate) pieces: Vec<Piece>,
     /// Largest distance of the tip, mm, that was found along it.
     pub(crate) remaining: f64,
@@ -94,7 +94,7 @@ impl<'a> Planner<'a> {
     }
 
     /// Plans moves of one machine and one kind of coordinates. Errors have the index of their move as their pose.
-    pub(crate) fn plan(&mut self, moves: Vec<Move>) -> Result<Vec<Planned>> {
+    pub(crate) fn plan(&mut self, moves: Vec<Box<Move>>) -> Result<Vec<Planned>> {
         let mut segments = Vec::with_capacity(moves.len());
         for (index, of) in moves.iter().enumerate() {
             segments.push(self.segments(of, 0).map_err(|error| error.at_pose(index))?);
@@ -315,7 +315,7 @@ const ARC_STEP: f64 = 0.4;
 const MOST_STEPS: usize = 1 << 16;
 
 /// The points that have to be computed, and the index of the move of each.
-fn points_of(moves: &[Move], segments: &[Vec<Segment>]) -> (Vec<Point>, Vec<usize>) {
+fn points_of(moves: &[Box<Move>], segments: &[Vec<Segment>]) -> (Vec<Point>, Vec<usize>) {
     let (mut points, mut owners) = (Vec::new(), Vec::new());
     for (index, (of, segments)) in moves.iter().zip(segments).enumerate() {
         for segment in segments {

@@ -150,7 +150,7 @@ struct Run<'a, 'b> {
     options: &'a Options,
     keep: &'b mut Keep<'b>,
     waiting: Vec<(Waiting, usize)>,
-    moves: Vec<Move>,
+    moves: Vec<Box<Move>>,
     summary: Summary,
     is_marked: bool,
     /// In which coordinates, and with which tool, the last move was.
@@ -189,7 +189,7 @@ impl Run<'_, '_> {
                     self.flush()?;
                     self.changed(&of)?;
                 }
-                self.moves.push(*of);
+                self.moves.push(of);
                 self.waiting.push((Waiting::Move(line.to_vec()), number));
             }
         }
