@@ -781,7 +781,7 @@ fn holes_are_where_the_program_says() {
         assert_eq!(found.status, 0, "{}", found.stderr);
         let [programmed, done] = [text, read(&at.join("done.ngc"))].map(|text| Control::new(&machine).run(&text));
         let mut directions = ByAxis::new();
-        let mut last = programmed[0].path[0].clone();
+        let mut last = programmed[0].path[programmed[0].path.len() - 1].clone();
         for (one, other) in programmed.iter().zip(&done).skip(1) {
             let [nominal, moved] = [one, other].map(|block| block.path[block.path.len() - 1].clone());
             turned(&mut directions, &last, &nominal);
