@@ -19,6 +19,8 @@ pub struct Block {
     pub is_arc: bool,
     /// Whether the tip is programmed.
     pub is_tip: bool,
+    /// Whether its numbers are positions of the machine (G53), which nobody corrects.
+    pub is_machine: bool,
 }
 
 /// Steps of a path: mm, degrees, and the sagitta of arcs in mm.
@@ -234,7 +236,15 @@ impl<'a> Control<'a> {
         let path = if is_arc { self.arc(&from, &to, words) } else { straight(&from, &to) };
         let path = if self.tip { path.iter().map(|at| self.axes_of(at)).collect() } else { path };
         let inverse_feed = (self.inverse && self.motion > 0).then(|| value("F").expect("every block has its F"));
-        Some(Block { line, is_rapid: self.motion == 0, path, inverse_feed, is_arc, is_tip: self.tip })
+        Some(Block {
+            line,
+            is_rapid: self.motion == 0,
+            path,
+            inverse_feed,
+            is_arc,
+            is_tip: self.tip,
+            is_machine: machine_coordinates,
+        })
     }
 
     fn begin_tip(&mut self) {
