@@ -141,13 +141,14 @@ fn goal(machine: &Machine, blocks: &[&Block], directions: &mut ByAxis) -> Goal {
 }
 
 fn along(machine: &Machine, goal: &Goal, blocks: &[&Block], is_tip: bool) -> f64 {
-    let (mut at, mut found) = (1, 0_f64);
+    let (mut at, mut found) = (1_usize, 0_f64);
     for block in blocks {
         let first = if is_small(block) { block.path.len() - 1 } else { 0 };
         for position in &block.path[first..] {
             let mut best = (f64::INFINITY, at);
             let mut known: BTreeMap<String, [f64; 3]> = BTreeMap::new();
-            for next in at..goal.tips.len() {
+            // The match before may have been one step too far.
+            for next in at.saturating_sub(2).max(1)..goal.tips.len() {
                 if goal.length[next - 1] - goal.length[at] > AHEAD && next > at + 4 {
                     break;
                 }
