@@ -2,6 +2,7 @@
 
 pub mod grammar;
 pub mod interpreter;
+mod klartext;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -193,7 +194,7 @@ fn moved(machine: &Machine, text: &str) -> Vec<Block> {
     control.length = 95.5;
     let offset = [("X", 12.5), ("Y", -3.25), ("Z", 40.0)].map(|(axis, at)| (axis.to_owned(), at));
     control.offsets.insert("G54".to_owned(), offset.into());
-    control.run(text)
+    if text.contains("BEGIN PGM") { control.run_klartext(text) } else { control.run(text) }
 }
 
 /// The rotary axes of a public machine.
@@ -240,6 +241,7 @@ fn three_axes_make_the_programmed_path() {
         for dialect in [Dialect::Linuxcnc, Dialect::Iso, Dialect::Fanuc, Dialect::Siemens, Dialect::Grbl] {
             law("three-axis", dialect, false, seed);
         }
+        law("three-axis", Dialect::Heidenhain, false, seed);
     }
 }
 
@@ -249,6 +251,7 @@ fn five_axes_make_the_programmed_path() {
         for name in ["table-table", "head-table"] {
             law(name, Dialect::Linuxcnc, false, seed);
             law(name, Dialect::Fanuc, false, seed);
+            law(name, Dialect::Heidenhain, false, seed);
         }
     }
 }
@@ -259,6 +262,7 @@ fn programmed_tips_make_the_programmed_path() {
         for name in ["table-table", "head-table"] {
             law(name, Dialect::Fanuc, true, seed);
             law(name, Dialect::Siemens, true, seed);
+            law(name, Dialect::Heidenhain, true, seed);
         }
     }
 }
@@ -266,7 +270,7 @@ fn programmed_tips_make_the_programmed_path() {
 #[test]
 fn no_errors_leave_every_byte() {
     let machine = Machine::public("three-axis");
-    for dialect in [Dialect::Linuxcnc, Dialect::Fanuc, Dialect::Siemens, Dialect::Grbl] {
+    for dialect in [Dialect::Linuxcnc, Dialect::Fanuc, Dialect::Siemens, Dialect::Grbl, Dialect::Heidenhain] {
         let wanted = grammar::Wanted { dialect, rotary: &[], tip: false, blocks: 60 };
         let text = grammar::program(wanted, 7).replace('\n', "\r\n");
         let (done, _) = corrected(&machine, &text, &options(dialect), 0.0).expect("a program");
@@ -552,7 +556,8 @@ fn nonsense_is_refused_or_copied() {
     let mut random = uniform(3);
     let pieces = [
         "G1", "X", "Y1.", "-", "G2", "R5", "(", ")", ";", "#1", "[", "G91", "F1", "\r", " ", "G43H1", "é", "%", "/",
-        "I1", "K", "N", "=", "IC(", "\"", "G53", "1e5", ".",
+        "I1", "K", "N", "=", "IC(", "\"", "G53", "1e5", ".", "L X+5 ", "C X+1", " DR+", "CC X+0", "CR ", "IY-2 ", " R0", " FMAX",
+        "TOOL CALL", " M91", "CYCL DEF 7", "~", "M128", "FUNCTION TCPM ", "AXIS POS",
     ];
     for _ in 0..400 {
         let text: String = (0..40)
@@ -562,7 +567,8 @@ fn nonsense_is_refused_or_copied() {
             })
             .collect();
         for dialect in Dialect::ALL {
-            let _ = corrected(&machine, &format!("G0X0Y0Z0\n{text}"), &Options::new(dialect), 1.0);
+            let head = if dialect == Dialect::Heidenhain { "BEGIN PGM A MM\nL X+0 Y+0 Z+0 FMAX" } else { "G0X0Y0Z0" };
+            let _ = corrected(&machine, &format!("{head}\n{text}"), &Options::new(dialect), 1.0);
         }
     }
 }

@@ -49,7 +49,7 @@ impl Dialect {
     }
 
     pub(crate) fn has_bracket_comments(self) -> bool {
-        !self.is_siemens()
+        !matches!(self, Self::Siemens | Self::Heidenhain)
     }
 
     pub(crate) fn has_blanks_in_numbers(self) -> bool {
@@ -74,6 +74,11 @@ impl Dialect {
     /// Whether F under G93 is 1/minutes; where that differs from control to control it is not known.
     pub(crate) fn counts_inverse_minutes(self) -> Option<bool> {
         (self != Self::Iso).then_some(true)
+    }
+
+    /// Whether arcs have no coordinate outside of their plane: a helix is written in another way there, or not at all.
+    pub(crate) fn has_flat_arcs(self) -> bool {
+        self == Self::Heidenhain
     }
 
     /// Codes of inches and of mm where the unit at the start is a parameter of the control, or depends on the machine.
@@ -386,6 +391,8 @@ pub fn table() -> String {
     for (name, meaning) in NAMES {
         let _ = writeln!(text, "| `{name}` | {} |", meaning.said());
     }
+    text.push('\n');
+    text.push_str(&crate::klartext::table());
     text
 }
 
