@@ -161,7 +161,10 @@ impl Run<'_, '_> {
     fn line(&mut self, line: &[u8], number: usize) -> Result<()> {
         let end = line.iter().rposition(|byte| !b"\r\n".contains(byte)).map_or(0, |last| last + 1);
         let text = &line[..end];
-        let action = self.reader.line(text).map_err(|refusal| refusal.at(&self.options.file, number, text))?;
+        let action = self
+            .reader
+            .line(text)
+            .map_err(|refusal| refusal.or_written_out(self.options.dialect).at(&self.options.file, number, text))?;
         let has_begun = self.reader.klartext.as_ref().is_none_or(|program| program.has_begun);
         if !self.is_marked && !self.is_perfect && has_begun && !is_head(text, self.options.dialect) {
             self.mark(&line[end..]);
