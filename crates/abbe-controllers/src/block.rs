@@ -333,7 +333,8 @@ impl<'a> Reader<'a> {
         let clockwise = motion == Motion::Clockwise;
         let in_plane = |at: &Coordinates| [at[plane[0]], at[plane[1]]];
         let (from, to) = (in_plane(&path.from), in_plane(&path.to));
-        let radius = line.words.iter().find(|word| word.letter == b'R' || word.name == "CR");
+        let of_siemens = || line.words.iter().find(|word| word.name == "CR");
+        let radius = line.words.iter().find(|word| word.letter == b'R').or_else(of_siemens);
         let centres: Vec<&Word> = line.words.iter().filter(|word| b"IJK".contains(&word.letter)).collect();
         let centre = match (radius, centres.first()) {
             (Some(word), None) => {

@@ -502,7 +502,7 @@ fn check_tip_function(own: &[u8], cursor: &Cursor<'_>, start: usize) -> Result<(
     let mut found = 0;
     while let Some((from, word)) = words.next() {
         let is_limit = word.len() > 1 && word.starts_with(b"F") && word[1..].iter().all(u8::is_ascii_digit);
-        let value = if is_limit { b"".as_slice() } else { words.next().map_or(b"", |(_, value)| value) };
+        let value = if is_limit { b"".as_slice() } else { words.next().map_or(b"".as_slice(), |(_, value)| value) };
         match (word, value) {
             (b"AXIS", b"POS") | (b"PATHCTRL", b"AXIS") => found += 1,
             (b"F", b"TCP" | b"CONT") | (b"REFPNT", b"TIP-TIP") => {}

@@ -246,7 +246,9 @@ mod tests {
 
     #[test]
     fn the_longest_beginning_counts() {
-        let of = |text: &str| statement(text.as_bytes()).map(|(length, statement)| (&text[..length], statement));
+        fn of(text: &str) -> Option<(&str, Statement)> {
+            statement(text.as_bytes()).map(|(length, statement)| (&text[..length], statement))
+        }
         assert_eq!(of("L X+5"), Some(("L", Statement::Line)));
         assert_eq!(of("CC"), Some(("CC", Statement::Centre)));
         assert_eq!(of("CYCL  DEF 7.1 X+5"), Some(("CYCL  DEF 7", Statement::Shift)));
