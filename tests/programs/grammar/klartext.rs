@@ -163,14 +163,13 @@ impl Klartext<'_> {
         let words: String = (0..2).map(|axis| self.word(AXES[axis], at[axis], end[axis])).collect();
         let sense = if against { "DR+" } else { "DR-" };
         let has_radius = !is_whole && self.of.chance(0.35) && (turn.abs() - PI).abs() > 0.2;
-        let fast = if self.of.chance(0.1) { " FMAX" } else { "" };
         (self.of.at[0], self.of.at[1]) = (end[0], end[1]);
         if has_radius {
             let sign = if turn.abs() < PI { "+" } else { "-" };
-            return self.block(&format!("CR{words} R{sign}{own:.6} {sense} R0{fast}"));
+            return self.block(&format!("CR{words} R{sign}{own:.6} {sense} R0"));
         }
         let centre: String = (0..2).map(|axis| self.word(AXES[axis], at[axis], centre[axis])).collect();
         self.block(&format!("CC{centre}"));
-        self.block(&format!("C{words} {sense}{fast}"));
+        self.block(&format!("C{words} {sense}"));
     }
 }

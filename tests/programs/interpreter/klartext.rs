@@ -32,6 +32,7 @@ impl Control<'_> {
         let mut is_open = false;
         for (index, line) in text.lines().enumerate() {
             let (before, _) = line.split_once(';').unwrap_or((line, ""));
+            let before = before.replace("F MAX", "FMAX");
             let mut words: Vec<&str> = before.split_whitespace().collect();
             let number = words.first().and_then(|first| first.parse::<usize>().ok());
             state.is_numbered |= index == 0 && number.is_some();
