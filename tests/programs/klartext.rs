@@ -78,9 +78,10 @@ fn text_stays_and_numbers_run_on() {
     let mill = Machine::public("three-axis");
     let mut options = options(Dialect::Heidenhain);
     (options.tolerance, options.decimals) = (1e-4, 5);
-    let text = "0 BEGIN PGM A MM\r\n1 BLK FORM 0.1 Z X+0 Y+0 Z-20\r\n2 * - face\r\n3 TOOL CALL \"MILL; 10\" Z S3000 DL+0.1 ; X99\r\n\
-                4 CYCL DEF 32.0 TOLERANCE\r\n5 CYCL DEF 32.1 T0.01\r\n6 L  X+0 Y+0 Z+60 R0 FMAX M3 ; X99\r\n7 L Z+10 F500 M8\r\n\
-                8 L IX+150 Y+90 R0 F800 M9 ; far\r\n9 CC X+150 Y+70\r\n10 C X+150 Y+50 DR- FMAX M5\r\n11 CR X+100 Y+50 R-30 DR+ R0 F300\r\n\
+    let text = "0 BEGIN PGM A MM\r\n1 BLK FORM 0.1 Z X+0 Y+0 Z-20\r\n2 * - face\r\n\
+                3 TOOL CALL \"MILL; 10\" Z S3000 DL+0.1 ; X99\r\n4 CYCL DEF 32.0 TOLERANCE\r\n5 CYCL DEF 32.1 T0.01\r\n\
+                6 L  X+0 Y+0 Z+60 R0 FMAX M3 ; X99\r\n7 L Z+10 F500 M8\r\n8 L IX+150 Y+90 R0 F800 M9 ; far\r\n\
+                9 CC X+150 Y+70\r\n10 C X+150 Y+50 DR- FMAX M5\r\n11 CR X+100 Y+50 R-30 DR+ R0 F300\r\n\
                 12 CYCL DEF 247 DATUM SETTING ~\r\n     Q339=+1 ;DATUM NUMBER\r\n13 M30\r\n14 END PGM A MM\r\n";
     let done = programs(&mill, text, &options);
     let lines: Vec<&str> = done.split_terminator("\r\n").collect();
@@ -94,7 +95,10 @@ fn text_stays_and_numbers_run_on() {
     let feed = lines.iter().position(|line| line.contains("F800")).expect("a feed");
     let far: Vec<&str> = lines[feed..].iter().copied().take_while(|line| !line.contains(" CC ")).collect();
     assert!(far.len() > 1 && far[0].ends_with(" R0 F800 ; far") && far[far.len() - 1].ends_with(" M9"), "{far:?}");
-    assert!(far[1..].iter().all(|line| line.contains(" L X+") && !line.contains(" R0") && !line.contains('F')), "{far:?}");
+    assert!(
+        far[1..].iter().all(|line| line.contains(" L X+") && !line.contains(" R0") && !line.contains('F')),
+        "{far:?}"
+    );
     let at = |text: &str| lines.iter().position(|line| line.contains(text)).expect("it is there");
     let moves = |line: &&&str| [" L ", " C "].iter().any(|name| line.contains(name));
     let fast: Vec<&&str> = lines[at(" CC X+150 Y+70")..=at(" M5")].iter().filter(moves).collect();
@@ -118,8 +122,13 @@ fn text_stays_and_numbers_run_on() {
     let off = worst(&with_tool(&mill, Some(95.6)), &lengths(text), &lengths(&done));
     assert!(off <= TOLERANCE, "{off}\n{done}");
     // Without numbers there are none; a second correction is refused.
-    let plain: String = text.lines().map(|line| line.trim_start_matches(|byte: char| byte.is_ascii_digit()).to_owned() + "\n").collect();
-    assert!(programs(&mill, &plain, &options).lines().all(|line| !line.starts_with(|byte: char| byte.is_ascii_digit())));
+    let plain: String = text
+        .lines()
+        .map(|line| line.trim_start_matches(|byte: char| byte.is_ascii_digit()).to_owned() + "\n")
+        .collect();
+    assert!(
+        programs(&mill, &plain, &options).lines().all(|line| !line.starts_with(|byte: char| byte.is_ascii_digit()))
+    );
     refused(&mill, &done, &options, 2, "compensated already");
     options.dialect = Dialect::Iso;
     assert!(corrected(&mill, text, &options, 1.0).is_err());
@@ -141,8 +150,9 @@ fn coordinates_are_followed() {
         control.run_klartext(text)
     };
     let text = around(
-        "L X+20 Y+10 Z+5 F500\nCYCL DEF 7.0 DATUM SHIFT\nCYCL DEF 7.1 X+30\nCYCL DEF 7.2 IY-4\nL X+40 IY+5\nCC IX+10 IY+0\n\
-         C IX+20 IY+0 DR+\nCYCL DEF 247 DATUM SETTING ~\n  Q339=+2 ;DATUM NUMBER\nL X+50 Y+20\nCC\nL IX+12\nC IX-24 IY+0 DR-\n",
+        "L X+20 Y+10 Z+5 F500\nCYCL DEF 7.0 DATUM SHIFT\nCYCL DEF 7.1 X+30\nCYCL DEF 7.2 IY-4\nL X+40 IY+5\n\
+         CC IX+10 IY+0\nC IX+20 IY+0 DR+\nCYCL DEF 247 DATUM SETTING ~\n  Q339=+2 ;DATUM NUMBER\n\
+         L X+50 Y+20\nCC\nL IX+12\nC IX-24 IY+0 DR-\n",
     );
     let done = programs(&mill, &text, &options);
     let off = worst(&mill, &run(&text, 95.5), &run(&done, 95.5));

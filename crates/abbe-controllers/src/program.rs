@@ -297,7 +297,10 @@ fn is_head(text: &[u8], dialect: Dialect) -> bool {
     let text = text.trim_ascii();
     let first = text.first().copied().unwrap_or(b'%');
     let begins = dialect == Dialect::Heidenhain && crate::klartext::begins(text);
-    begins || first == b'%' || text.starts_with(b";$PATH") || dialect.has_program_numbers() && first.eq_ignore_ascii_case(&b'O')
+    begins
+        || first == b'%'
+        || text.starts_with(b";$PATH")
+        || dialect.has_program_numbers() && first.eq_ignore_ascii_case(&b'O')
 }
 
 /// Lines of a program with their ends.

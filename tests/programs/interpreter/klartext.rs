@@ -1,5 +1,5 @@
-//! Plain text of Heidenhain, read word by word: what the blocks of random and of corrected programs do. It panics at all others, and where
-//! block numbers have gaps.
+//! Plain text of Heidenhain, read word by word: what the blocks of random and of corrected programs do. It panics at
+//! all others, and where block numbers have gaps.
 
 use super::{Block, Control, straight};
 use crate::controls::law::ByAxis;

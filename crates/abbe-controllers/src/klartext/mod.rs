@@ -1,10 +1,12 @@
 //! Heidenhain plain text (Klartext): blocks as moves.
 //!
-//! Facts are those of Heidenhain's manuals of the TNC 360 to 640: coordinates of CC count from the workpiece datum, incremental ones
-//! from the last programmed position; a helix is programmed in polar coordinates only; M91 leaves out the length of the tool and acts in
-//! its block; M128 acts at the start of its block, M129 at its end; the length is L and DL from the tool call on.
+//! Facts are those of Heidenhain's manuals of the TNC 360 to 640: coordinates of CC count from the workpiece datum,
+//! incremental ones from the last programmed position; a helix is programmed in polar coordinates only; M91 leaves out
+//! the length of the tool and acts in its block; M128 acts at the start of its block, M129 at its end; the length is L
+//! and DL from the tool call on.
 
 mod table;
+mod tool;
 mod words;
 mod write;
 
@@ -12,7 +14,7 @@ use crate::block::{Action, Reader};
 use crate::geometry::place;
 use crate::lexer::{Line, Sense, Word};
 use crate::machine::Space;
-use crate::modal::{Motion, Said, Special, letter, refused};
+use crate::modal::{Motion, Said, Special, refused};
 use crate::refusal::Refusal;
 use table::{Effect, Statement};
 use words::{Cursor, Frame};
@@ -69,7 +71,11 @@ impl Program {
         };
         let (length, statement) = found;
         if !self.has_begun && statement != Statement::Begin {
-            return Err(cursor.refused(start, "a program begins with `BEGIN PGM`", "write `BEGIN PGM name MM` before it"));
+            return Err(cursor.refused(
+                start,
+                "a program begins with `BEGIN PGM`",
+                "write `BEGIN PGM name MM` before it",
+            ));
         }
         self.open = Some(statement).filter(|_| frame.is_open);
         let rest = Cursor::new(text, start + length..frame.block.end);
@@ -83,7 +89,13 @@ impl Program {
                 reader.modal.inches = match own.split(u8::is_ascii_whitespace).next_back() {
                     Some(b"MM") => false,
                     Some(b"INCH") => true,
-                    _ => return Err(cursor.refused(start, "a program without a unit", "write `BEGIN PGM name MM`, or INCH")),
+                    _ => {
+                        return Err(cursor.refused(
+                            start,
+                            "a program without a unit",
+                            "write `BEGIN PGM name MM`, or INCH",
+                        ));
+                    }
                 };
                 // Centres are written as absolute coordinates.
                 (self.has_begun, reader.modal.has_unit, reader.modal.arc_absolute) = (true, true, true);
@@ -98,7 +110,7 @@ impl Program {
             }
             Statement::Centre => self.centre(rest, reader),
             Statement::ToolCall => self.tool_call(rest, start, reader),
-            Statement::ToolDefinition => tool_definition(rest, start),
+            Statement::ToolDefinition => tool::definition(rest, start),
             Statement::Shift => self.shift(rest, start, reader),
             Statement::Preset => self.preset(text, &frame, reader),
             Statement::TipOn => {
@@ -147,7 +159,11 @@ impl Program {
             }
             Some(_) => self.moved(statement, line, effects.late, reader)?,
             None if matches!(statement, Statement::Arc | Statement::RadiusArc) => {
-                return Err(cursor.refused(start, "an arc without an end", "write its end, in the plane of the tool axis"));
+                return Err(cursor.refused(
+                    start,
+                    "an arc without an end",
+                    "write its end, in the plane of the tool axis",
+                ));
             }
             None if effects.change.is_some() && !reader.options.stays_at_tool_change => {
                 reader.modal.at = [None; 9];
@@ -166,7 +182,11 @@ impl Program {
         let mut found = Effects::default();
         for (index, word) in line.words.iter().enumerate().filter(|(_, word)| word.letter == b'M') {
             let Some((is_late, effect)) = table::auxiliary(word.value as u32) else {
-                return Err(refused(word, "an M function that is not known", "see docs/programs.md for those that are"));
+                return Err(refused(
+                    word,
+                    "an M function that is not known",
+                    "see docs/programs.md for those that are",
+                ));
             };
             if is_late {
                 found.late.push(index);
@@ -226,7 +246,11 @@ impl Program {
             }
             (Statement::RadiusArc, true, _) => {}
             (_, _, None) => {
-                return Err(refused(&line.words[0], "an arc without a centre", "write CC after the last change of coordinates"));
+                return Err(refused(
+                    &line.words[0],
+                    "an arc without a centre",
+                    "write CC after the last change of coordinates",
+                ));
             }
             (_, _, Some(pole)) => {
                 let offset = reader.modal.offset();
@@ -277,55 +301,6 @@ impl Program {
         };
         self.pole = Some([first, second]);
         Ok(Action::Copy(None))
-    }
-
-    fn tool_call(&mut self, mut cursor: Cursor<'_>, start: usize, reader: &mut Reader<'_>) -> Result<Action, Refusal> {
-        let mut call = ToolCall::default();
-        cursor.skip_blanks();
-        call.read(&mut cursor)?;
-        let refused = |what: &str, help: &str| Refusal::new(start, "TOOL CALL", what, help);
-        if let Some(axis) = call.axis {
-            self.pole = None;
-            reader.modal.plane = [[1, 2], [2, 0], [0, 1]][axis];
-        }
-        let is_new = call.number.is_some() || call.has_name;
-        if !is_new && call.longer.is_none() {
-            return Ok(Action::Copy(None));
-        }
-        if reader.modal.space == Space::Workpiece {
-            let help = "switch it off before: M129, or FUNCTION RESET TCPM";
-            return Err(refused("a change of the tool while the tip is programmed", help));
-        }
-        let tools = &reader.options.tools;
-        if is_new {
-            let help = "give it: `--tools tool.tbl`, or `--tool-length-mm`";
-            self.length = match call.number {
-                Some(0.0) => None,
-                _ if tools.only.is_some() => tools.only,
-                Some(number) if number.fract() == 0.0 => {
-                    let found = tools.length(number as u32);
-                    let unknown = || refused(&format!("the length of the tool {number} is not known"), help);
-                    Some(found.ok_or_else(unknown)?)
-                }
-                Some(_) => return Err(refused("the length of a step of a tool is not known", ONE_LENGTH)),
-                None => return Err(refused("a table of lengths has numbers of tools, and no names", ONE_LENGTH)),
-            };
-        }
-        let more = call.longer.unwrap_or(0.0) * reader.modal.unit(2);
-        let length = self.length.map(|length| length + more);
-        let plane = reader.modal.plane;
-        if length.is_some_and(|length| length != 0.0) && plane != [0, 1] {
-            let axis = letter(3 - plane[0] - plane[1]);
-            let what = format!("a tool along {axis}; the machine of the calibration has it along Z");
-            return Err(refused(&what, "correct this part of the program with a calibration that has the tool so"));
-        }
-        let failed = |error: abbe_core::Error| refused(&error.message, "is the length right?");
-        reader.modal.use_length(length, reader.options, reader.build).map_err(failed)?;
-        if !is_new || reader.options.stays_at_tool_change {
-            return Ok(Action::Copy(None));
-        }
-        reader.modal.at = [None; 9];
-        Ok(reader.jump(None, false))
     }
 
     /// `CYCL DEF 7.1 X+60`.
@@ -387,67 +362,6 @@ impl Program {
     }
 }
 
-/// What a tool call says.
-#[derive(Default)]
-struct ToolCall {
-    number: Option<f64>,
-    has_name: bool,
-    /// The axis of the tool: 0 is X.
-    axis: Option<usize>,
-    /// DL.
-    longer: Option<f64>,
-}
-
-impl ToolCall {
-    fn read(&mut self, cursor: &mut Cursor<'_>) -> Result<(), Refusal> {
-        let help = "write a number or a name, Z, S, F, DL, DR and DR2";
-        loop {
-            cursor.skip_blanks();
-            let from = cursor.at;
-            let Some(byte) = cursor.peek(0) else { return Ok(()) };
-            let is_first = self.number.is_none() && !self.has_name && self.axis.is_none();
-            if byte.is_ascii_digit() && is_first {
-                self.number = Some(cursor.number(from)?);
-            } else if byte == b'"' && is_first {
-                cursor.at += 1;
-                while cursor.peek(0).is_some_and(|next| next != b'"') {
-                    cursor.at += 1;
-                }
-                if !cursor.takes(b"\"") {
-                    return Err(cursor.refused(from, "a name without an end", "close it with `\"`"));
-                }
-                self.has_name = true;
-            } else if (b'X'..=b'Z').contains(&byte) && self.axis.is_none() {
-                cursor.at += 1;
-                self.axis = Some(usize::from(byte - b'X'));
-            } else if cursor.takes(b"DL") {
-                self.longer = Some(cursor.number(from)?);
-            } else if cursor.takes(b"DR2") || cursor.takes(b"DR") || cursor.takes(b"S") || cursor.takes(b"F") {
-                cursor.number(from)?;
-            } else {
-                return Err(cursor.refused(from, "a word of a tool call that is not known here", help));
-            }
-        }
-    }
-}
-
-const ONE_LENGTH: &str = "give one length for all tools: `--tool-length-mm`";
-
-/// `TOOL DEF 5` brings a tool; with a length it is a table of its own.
-fn tool_definition(mut cursor: Cursor<'_>, start: usize) -> Result<Action, Refusal> {
-    loop {
-        cursor.skip_blanks();
-        match cursor.peek(0) {
-            None => return Ok(Action::Copy(None)),
-            Some(b'L') => {
-                let help = "leave the length out, and give it: `--tools tool.tbl`";
-                return Err(Refusal::new(start, "TOOL DEF", "a length of a tool that the program defines", help));
-            }
-            Some(_) => cursor.at += 1,
-        }
-    }
-}
-
 /// Refuses words that a block cannot have, and those that stand twice.
 fn check_words(statement: Statement, words: &[Word]) -> Result<(), Refusal> {
     for (index, word) in words.iter().enumerate().skip(1) {
@@ -469,12 +383,7 @@ fn check_words(statement: Statement, words: &[Word]) -> Result<(), Refusal> {
 }
 
 /// Positions of the machine: M91 leaves out datum and tool; where M92 counts from nobody tells.
-fn machine_block(
-    statement: Statement,
-    line: &Line,
-    effects: &Effects,
-    reader: &mut Reader<'_>,
-) -> Result<(), Refusal> {
+fn machine_block(statement: Statement, line: &Line, effects: &Effects, reader: &mut Reader<'_>) -> Result<(), Refusal> {
     let word = effects.machine.as_ref().or(effects.other_datum.as_ref()).unwrap_or(&line.words[0]);
     if statement != Statement::Line {
         return Err(refused(word, "an arc in machine coordinates", "write it as lines"));

@@ -171,7 +171,7 @@ const AUXILIARY: &[(u32, bool, Effect)] = &[
     (150, false, Effect::Keep),
 ];
 
-/// Numbers of M functions that belong to the control: those that are not known here are refused, others are the machine's.
+/// Numbers of M functions that belong to the control, and are refused if they are not known here; others are the machine's.
 const OF_THE_CONTROL: std::ops::Range<u32> = 89..200;
 
 /// The block that begins with this text (upper case), and how long its beginning is.

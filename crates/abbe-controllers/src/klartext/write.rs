@@ -166,9 +166,8 @@ mod tests {
     #[test]
     fn numbers_run_without_gaps() {
         let mut numbers = Numbers::default();
-        let mut of = |text: &str, is_new| {
-            String::from_utf8(numbers.copied(text.as_bytes().to_vec(), is_new)).expect("text")
-        };
+        let mut of =
+            |text: &str, is_new| String::from_utf8(numbers.copied(text.as_bytes().to_vec(), is_new)).expect("text");
         assert_eq!(of("0 BEGIN PGM A MM\n", false), "0 BEGIN PGM A MM\n");
         assert_eq!(of("; new\n", true), "1 ; new\n");
         assert_eq!(of("1 TOOL CALL 5 Z\n", false), "2 TOOL CALL 5 Z\n");
