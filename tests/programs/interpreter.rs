@@ -195,7 +195,7 @@ impl<'a> Control<'a> {
                 }
                 ("TRAFOOF", _) => self.end_tip(),
                 ("D", code) => self.offset = if code == 0 { 0.0 } else { self.length },
-                ("G", 40 | 400 | 800 | 640 | 980 | 990 | 970) => {}
+                ("G", 40 | 400 | 800 | 610 | 611 | 640 | 980 | 990 | 970) => {}
                 (
                     "CFTCP" | "IA" | "JA" | "KA" | "N" | "F" | "S" | "T" | "M" | "H" | "X" | "Y" | "Z" | "A" | "B"
                     | "C" | "I" | "J" | "K" | "R" | "CR" | "L" | "P" | "",
@@ -344,6 +344,16 @@ fn straight(from: &ByAxis, to: &ByAxis) -> Vec<ByAxis> {
 
 /// Tips in the table frame at positions with directions (+1 where none is said).
 pub fn tips(machine: &Machine, points: &[(ByAxis, ByAxis)], with_errors: bool) -> Vec<[f64; 3]> {
+    tips_with(machine, points, with_errors, &[])
+}
+
+/// The same with other statuses, by their names.
+pub fn tips_with(
+    machine: &Machine,
+    points: &[(ByAxis, ByAxis)],
+    with_errors: bool,
+    others: &[(&str, f64)],
+) -> Vec<[f64; 3]> {
     let info = machine.model.info();
     let mut statuses = Vec::new();
     for (at, directions) in points {
@@ -356,6 +366,10 @@ pub fn tips(machine: &Machine, points: &[(ByAxis, ByAxis)], with_errors: bool) -
             if let StatusRole::Direction(axis) = column.role {
                 status[index] = directions.get(&info.axes[axis].name).copied().unwrap_or(1.0);
             }
+        }
+        for (name, value) in others {
+            let index = info.status.iter().position(|column| column.name == *name).expect("a status");
+            status[index] = *value;
         }
         statuses.extend(status);
     }

@@ -252,6 +252,7 @@ fn constructs_that_are_not_followed_are_refused() {
         refused(&table, &around(blocks), &options, line, word);
     }
     refused(&table, "L X+5\n", &options, 1, "BEGIN PGM");
+    refused(&table, &format!("{}{}", around("M30\n"), around("")), &options, 6, "after the end of the program");
     refused(&table, "BEGIN PGM A\n", &options, 1, "without a unit");
     (options.tools.only, options.tools.by_number) = (None, [(5, 95.5)].into());
     for (call, says) in
@@ -274,7 +275,7 @@ fn corrected_plain_text_is_checked() {
     let at = folder.path();
     write(&at.join("fit.calibration.json"), &calibration("three-axis").to_string());
     let text = "0 BEGIN PGM A MM\n1 TOOL CALL 5 Z S3000\n2 L X+0 Y+0 Z+50 R0 FMAX M3\n3 L Z-5 F500\n4 L X+120 Y+80\n\
-                5 CC X+120 Y+60\n6 C X+120 Y+40 DR-\n7 L X+0\n8 M30\n9 END PGM A MM\n";
+                5 CC X+120 Y+60\n6 C X+120 Y+40 DR-\n7 L X+0\n8 CC X+0 Y+20\n9 C X+0 Y+0 DR+ FMAX\n10 M30\n11 END PGM A MM\n";
     write(&at.join("part.h"), text);
     let run = |out: &str| {
         let fixed = ["compensate", "fit.calibration.json", "part.h", "--dialect", "heidenhain", "--out", out];

@@ -32,6 +32,13 @@ pub(crate) struct Move {
     pub(crate) line: Line,
 }
 
+impl Move {
+    /// Whether it is an arc in rapid traverse, which holds its path all the same.
+    pub(crate) fn is_fast_arc(&self) -> bool {
+        self.path.arc.is_some() && self.line.words.iter().any(|word| word.name == "FMAX")
+    }
+}
+
 /// What becomes of a line.
 pub(crate) enum Action {
     /// It is copied. The motion that it makes modal, if it does.
@@ -77,8 +84,12 @@ impl<'a> Reader<'a> {
             self.mark = Some(String::from_utf8_lossy(&text[start..]).trim_end_matches([')', ' ', '\r']).to_owned());
             return Ok(Action::Copy(None));
         }
+        if let Some(column) = text.iter().position(|byte| *byte == b'\r') {
+            let what = "a carriage return inside a line, where some controls end the block";
+            return Err(Refusal::new(column, "", what, "write each block on a line of its own: LF, or CR LF"));
+        }
         if self.has_ended {
-            return Ok(Action::Copy(None));
+            return self.after_end(text);
         }
         if self.klartext.is_some() {
             return self.klartext_line(text);
@@ -95,6 +106,33 @@ impl<'a> Reader<'a> {
         self.act(line, said)
     }
 
+    /// What stands after the end: LinuxCNC reads no more of it; other controls may go on with another program.
+    fn after_end(&self, text: &[u8]) -> Result<Action, Refusal> {
+        let dialect = self.options.dialect;
+        let found = match dialect {
+            Dialect::Linuxcnc | Dialect::Heidenhain => Ok(Line::default()),
+            _ => lexer::line(text, dialect),
+        };
+        let column = match found {
+            // Blocks between M30 and END PGM are subprograms, and what calls them is refused.
+            _ if dialect == Dialect::Heidenhain => crate::klartext::begins(text).then_some(0),
+            Ok(line) => line.words.first().map(|word| word.span.start),
+            Err(refusal) => Some(refusal.column),
+        };
+        match column {
+            Some(column) => {
+                let help = "correct each program in a file of its own";
+                Err(Refusal::new(
+                    column,
+                    "",
+                    "a block after the end of the program: another program, or a subprogram",
+                    help,
+                ))
+            }
+            None => Ok(Action::Copy(None)),
+        }
+    }
+
     fn klartext_line(&mut self, text: &[u8]) -> Result<Action, Refusal> {
         let Some(mut program) = self.klartext.take() else { return Ok(Action::Copy(None)) };
         let action = program.line(text, self);
@@ -105,8 +143,14 @@ impl<'a> Reader<'a> {
 
     /// Whether the switch of the control leaves a block out that has a `/` at this place.
     pub(crate) fn is_left_out(&self, optional: Option<usize>) -> Result<bool, Refusal> {
-        match (optional, self.options.block_delete) {
+        let runs_always = self.options.dialect.always_runs_optional_blocks();
+        match (optional, self.options.block_delete.or(runs_always.then_some(false))) {
             (None, _) => Ok(false),
+            (Some(column), Some(true)) if runs_always => {
+                let what = "a block that this control runs whatever a switch says";
+                let help = "leave out `--block-delete on`, or take these blocks out of the program";
+                Err(Refusal::new(column, "/", what, help))
+            }
             (_, Some(is_on)) => Ok(is_on),
             (Some(column), None) => {
                 let what = "a block that a switch of the control leaves out";

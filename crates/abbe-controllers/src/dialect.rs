@@ -52,6 +52,11 @@ impl Dialect {
         !matches!(self, Self::Siemens | Self::Heidenhain)
     }
 
+    /// Whether blocks with `/` run always: grbl has no switch for them.
+    pub(crate) fn always_runs_optional_blocks(self) -> bool {
+        self == Self::Grbl
+    }
+
     pub(crate) fn has_blanks_in_numbers(self) -> bool {
         matches!(self, Self::Linuxcnc | Self::Grbl)
     }

@@ -54,7 +54,7 @@ pub(crate) fn write(
     let of = &planned.of;
     let start = of.line.words.first().map_or(0, |word| word.span.start);
     let between = if eol.is_empty() { b"\n".as_slice() } else { eol };
-    let is_fast = of.path.arc.is_some() && of.line.words.iter().any(|word| word.name == "FMAX");
+    let is_fast = of.is_fast_arc();
     let last = planned.pieces.len() - 1;
     let mut is_first = true;
     for (index, piece) in planned.pieces.iter().enumerate() {
