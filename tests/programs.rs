@@ -2,6 +2,7 @@
 
 pub mod grammar;
 pub mod interpreter;
+mod klartext;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -188,6 +189,8 @@ fn options(dialect: Dialect) -> Options {
     options.offsets.insert(0, offset);
     options.tools.only = Some(95.5);
     options.start = [Some(0.0); 9];
+    // From which side axes come after a change of the tool is in no program of plain text.
+    options.stays_at_tool_change = dialect == Dialect::Heidenhain;
     options.calibration = "0123456789abcdef".to_owned();
     options
 }
@@ -197,7 +200,7 @@ fn moved(machine: &Machine, text: &str) -> Vec<Block> {
     control.length = 95.5;
     let offset = [("X", 12.5), ("Y", -3.25), ("Z", 40.0)].map(|(axis, at)| (axis.to_owned(), at));
     control.offsets.insert("G54".to_owned(), offset.into());
-    control.run(text)
+    if text.contains("BEGIN PGM") { control.run_klartext(text) } else { control.run(text) }
 }
 
 /// The rotary axes of a public machine.
@@ -208,6 +211,10 @@ fn rotary(name: &str) -> &'static [&'static str] {
         _ => &[],
     }
 }
+
+/// Distances, mm, that no error makes: where a path comes close to itself, the search for the nearest place on it can lose a tip that is
+/// far off.
+const LOST: f64 = 0.3;
 
 /// The law: on the machine with errors the corrected program makes the path that the original makes on the machine without.
 fn law(name: &str, dialect: Dialect, tip: bool, seed: u64) {
@@ -225,7 +232,8 @@ fn law(name: &str, dialect: Dialect, tip: bool, seed: u64) {
     assert!(before > 5e-3, "{name} {dialect:?} {seed}: {before}");
     let (wrong, _) = corrected(&machine, &text, &options, -1.0).expect("a program");
     let wrong = worst(&machine, &programmed, &moved(&machine, &wrong));
-    assert!(wrong > 10.0 * TOLERANCE, "{name} {dialect:?} {seed}: {wrong} of {before}");
+    let is_more = wrong > before || before > LOST;
+    assert!(wrong > 10.0 * TOLERANCE && is_more, "{name} {dialect:?} {seed}: {wrong} of {before}\n{text}");
     // What is no motion stays: every comment is there once.
     assert_eq!(text.matches("as G1 X99 was").count(), done.matches("as G1 X99 was").count());
 }
@@ -270,7 +278,7 @@ fn programmed_tips_make_the_programmed_path() {
 #[test]
 fn no_errors_leave_every_byte() {
     let machine = Machine::public("three-axis");
-    for dialect in [Dialect::Linuxcnc, Dialect::Fanuc, Dialect::Siemens, Dialect::Grbl] {
+    for dialect in [Dialect::Linuxcnc, Dialect::Fanuc, Dialect::Siemens, Dialect::Grbl, Dialect::Heidenhain] {
         let wanted = grammar::Wanted { dialect, rotary: &[], tip: false, blocks: 60 };
         let text = grammar::program(wanted, 7).replace('\n', "\r\n");
         let (done, _) = corrected(&machine, &text, &options(dialect), 0.0).expect("a program");
@@ -555,8 +563,49 @@ fn nonsense_is_refused_or_copied() {
     let machine = Machine::public("three-axis");
     let mut random = uniform(3);
     let pieces = [
-        "G1", "X", "Y1.", "-", "G2", "R5", "(", ")", ";", "#1", "[", "G91", "F1", "\r", " ", "G43H1", "é", "%", "/",
-        "I1", "K", "N", "=", "IC(", "\"", "G53", "1e5", ".",
+        "G1",
+        "X",
+        "Y1.",
+        "-",
+        "G2",
+        "R5",
+        "(",
+        ")",
+        ";",
+        "#1",
+        "[",
+        "G91",
+        "F1",
+        "\r",
+        " ",
+        "G43H1",
+        "é",
+        "%",
+        "/",
+        "I1",
+        "K",
+        "N",
+        "=",
+        "IC(",
+        "\"",
+        "G53",
+        "1e5",
+        ".",
+        "L X+5 ",
+        "C X+1",
+        " DR+",
+        "CC X+0",
+        "CR ",
+        "IY-2 ",
+        " R0",
+        " FMAX",
+        "TOOL CALL",
+        " M91",
+        "CYCL DEF 7",
+        "~",
+        "M128",
+        "FUNCTION TCPM ",
+        "AXIS POS",
     ];
     for _ in 0..400 {
         let text: String = (0..40)
@@ -566,7 +615,8 @@ fn nonsense_is_refused_or_copied() {
             })
             .collect();
         for dialect in Dialect::ALL {
-            let _ = corrected(&machine, &format!("G0X0Y0Z0\n{text}"), &Options::new(dialect), 1.0);
+            let head = if dialect == Dialect::Heidenhain { "BEGIN PGM A MM\nL X+0 Y+0 Z+0 FMAX" } else { "G0X0Y0Z0" };
+            let _ = corrected(&machine, &format!("{head}\n{text}"), &Options::new(dialect), 1.0);
         }
     }
 }

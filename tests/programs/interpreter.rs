@@ -1,6 +1,8 @@
 //! A reading of programs that shares nothing with the corrector: what the axes of a machine do, in small steps. It knows the codes that
 //! corrected programs have and panics at all others.
 
+mod klartext;
+
 use std::collections::BTreeMap;
 
 use abbe_core::{AxisKind, Poses, StatusRole};

@@ -133,7 +133,8 @@ impl Other<'_> {
         if found.space != planned.of.space {
             return Err(self.differs(line, "other coordinates than the program"));
         }
-        if (found.motion == Motion::Rapid) != (piece.purpose == Purpose::Rapid) {
+        let is_rapid = found.motion == Motion::Rapid;
+        if is_rapid != (piece.purpose == Purpose::Rapid) && !planned.of.is_fast_arc() {
             let asked = if piece.purpose == Purpose::Rapid {
                 "in feed for a rapid one"
             } else {

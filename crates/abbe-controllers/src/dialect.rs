@@ -49,7 +49,7 @@ impl Dialect {
     }
 
     pub(crate) fn has_bracket_comments(self) -> bool {
-        !self.is_siemens()
+        !matches!(self, Self::Siemens | Self::Heidenhain)
     }
 
     /// Whether blocks with `/` run always: grbl has no switch for them.
@@ -79,6 +79,11 @@ impl Dialect {
     /// Whether F under G93 is 1/minutes; where that differs from control to control it is not known.
     pub(crate) fn counts_inverse_minutes(self) -> Option<bool> {
         (self != Self::Iso).then_some(true)
+    }
+
+    /// Whether arcs have no coordinate outside of their plane: a helix is written in another way there, or not at all.
+    pub(crate) fn has_flat_arcs(self) -> bool {
+        self == Self::Heidenhain
     }
 
     /// Codes of inches and of mm where the unit at the start is a parameter of the control, or depends on the machine.
@@ -393,6 +398,8 @@ pub fn table() -> String {
     for (name, meaning) in NAMES {
         let _ = writeln!(text, "| `{name}` | {} |", meaning.said());
     }
+    text.push('\n');
+    text.push_str(&crate::klartext::table());
     text
 }
 

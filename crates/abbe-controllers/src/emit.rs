@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use crate::block::Move;
+use crate::dialect::Dialect;
 use crate::geometry::{Coordinates, LETTERS, is_rotary, place};
 use crate::modal::Motion;
 use crate::options::Options;
@@ -13,17 +14,31 @@ pub(crate) struct Emitter<'a> {
     options: &'a Options,
     /// The motion that the written program has made modal.
     pub(crate) motion: Option<Motion>,
+    /// Block numbers of plain text, which run without gaps.
+    numbers: Option<crate::klartext::Numbers>,
 }
 
 impl<'a> Emitter<'a> {
     pub(crate) fn new(options: &'a Options) -> Self {
-        Self { options, motion: None }
+        let is_klartext = options.dialect == Dialect::Heidenhain;
+        Self { options, motion: None, numbers: is_klartext.then(crate::klartext::Numbers::default) }
+    }
+
+    /// Text that is not motion, as it is written; `is_new` if it is no line of the program.
+    pub(crate) fn copied(&mut self, text: Vec<u8>, is_new: bool) -> Vec<u8> {
+        match &mut self.numbers {
+            Some(numbers) => numbers.copied(text, is_new),
+            None => text,
+        }
     }
 
     /// The text of a move: its own line with other numbers, and a line for every further piece. `line` is as it is in the file.
     pub(crate) fn lines(&mut self, planned: &Planned, line: &[u8], out: &mut Vec<u8>) {
         let end = line.iter().rposition(|byte| !b"\r\n".contains(byte)).map_or(0, |last| last + 1);
         let (text, eol) = line.split_at(end);
+        if let Some(numbers) = &mut self.numbers {
+            return crate::klartext::write(numbers, self.options, planned, text, eol, out);
+        }
         let eol = if eol.is_empty() { b"\n".as_slice() } else { eol };
         let last = planned.pieces.len() - 1;
         for (index, piece) in planned.pieces.iter().enumerate() {
@@ -141,7 +156,7 @@ impl<'a> Emitter<'a> {
 const MOST_DIGITS: f64 = 1e15;
 
 /// Appends a number without needless zeros; with its point where the control asks for it.
-fn push_number(out: &mut String, value: f64, decimals: usize, keeps_point: bool) {
+pub(crate) fn push_number(out: &mut String, value: f64, decimals: usize, keeps_point: bool) {
     let from = out.len();
     let digits = (value * 10_f64.powi(decimals as i32)).round();
     // Nearly all numbers come here, and most of the time of writing would go into the general way of the library.

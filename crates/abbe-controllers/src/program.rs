@@ -165,7 +165,8 @@ impl Run<'_, '_> {
             .reader
             .line(text)
             .map_err(|refusal| refusal.or_written_out(self.options.dialect).at(&self.options.file, number, text))?;
-        if !self.is_marked && !self.is_perfect && !is_head(text, self.options.dialect) {
+        let has_begun = self.reader.klartext.as_ref().is_none_or(|program| program.has_begun);
+        if !self.is_marked && !self.is_perfect && has_begun && !is_head(text, self.options.dialect) {
             self.mark(&line[end..]);
         }
         if !matches!(action, Action::Copy(_)) {
@@ -260,7 +261,7 @@ impl Run<'_, '_> {
             match waiting {
                 Waiting::Text(text, motion) => {
                     self.emitter.motion = motion.or(self.emitter.motion);
-                    (self.keep)(None, &text, number)?;
+                    (self.keep)(None, &self.emitter.copied(text, number == 0), number)?;
                 }
                 Waiting::Move(line) => {
                     let Some(own) = planned.next() else { continue };
@@ -295,7 +296,11 @@ impl Run<'_, '_> {
 fn is_head(text: &[u8], dialect: Dialect) -> bool {
     let text = text.trim_ascii();
     let first = text.first().copied().unwrap_or(b'%');
-    first == b'%' || text.starts_with(b";$PATH") || dialect.has_program_numbers() && first.eq_ignore_ascii_case(&b'O')
+    let begins = dialect == Dialect::Heidenhain && crate::klartext::begins(text);
+    begins
+        || first == b'%'
+        || text.starts_with(b";$PATH")
+        || dialect.has_program_numbers() && first.eq_ignore_ascii_case(&b'O')
 }
 
 /// Lines of a program with their ends.
