@@ -168,7 +168,15 @@ impl Control<'_> {
                 }
             };
             let path = if self.tip { path.iter().map(|at| self.axes_of(at)).collect() } else { path };
-            Block { line, is_rapid: has("FMAX") && !is_arc, path, inverse_feed: None, is_arc, is_tip: self.tip }
+            Block {
+                line,
+                is_rapid: has("FMAX") && !is_arc,
+                path,
+                inverse_feed: None,
+                is_arc,
+                is_tip: self.tip,
+                is_machine: has("M91"),
+            }
         });
         if has("M129") {
             self.end_tip();
