@@ -50,7 +50,7 @@ pub use abbe_results::{
     Correlated, DataRecord, Decision, EquivalentMotionError, Estimated, Figure, FileFormat, Findings, FitReport, Group,
     GumComparison, Identifiability, ImplausibleValue, JointCoverage, Limit, ModelRecord, MonteCarlo, NamedCovariance,
     Outlier, ParameterBudget, PredictedStructure, Rule, Selection, SelectionByPrediction, SelectionDirection,
-    SelectionStep, SimulatedParameter, Status, UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor, Verdict,
+    Samples, SelectionStep, SimulatedParameter, Status, UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor, Verdict,
     WeakDirection, rule_or_name, schema_of_rules,
 };
 pub use abbe_settings::{

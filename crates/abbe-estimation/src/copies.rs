@@ -2,7 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{Column, ColumnHeader, Contact, DataRow, Dataset, ObservationSet, Problem, Quantity, SetIndex, Values};
+use abbe_core::{
+    Column, ColumnHeader, Contact, DataRow, Dataset, ObservationSet, Problem, Quantity, RowOrigin, SetIndex, Values,
+};
 
 /// Rows of a data set that are the same in every cell, but for a label that counts them: a file that was read twice, or a row that was
 /// copied.
@@ -31,11 +33,11 @@ fn copied(problem: &Problem) -> Vec<String> {
     let of_set = |set: &ObservationSet| {
         let data = &set.info().layout.data;
         let (count, first) = data.copied_rows(rows_of(set), IN_TURN, false)?;
-        let lines = first.map(|row| data.origins[row].line);
+        let places = RowOrigin::both_in_words(first.map(|row| data.origins[row]));
         Some(format!(
-            "{}: {count} rows are those of earlier ones to the last digit, but for times and labels (the first: lines {} and {}): are \
+            "{}: {count} rows are those of earlier ones to the last digit, but for times and labels (the first: {places}): are \
              they copies? Each counts as a measurement of its own",
-            set.name, lines[0], lines[1]
+            set.name
         ))
     };
     problem.sets.iter().filter_map(of_set).collect()
@@ -77,14 +79,12 @@ fn copied_within(set: &ObservationSet, uncertainty: f64) -> Option<String> {
     if data.copied_rows(rows_of(set), IN_TURN, false).is_some() {
         return None;
     }
-    let lines = first.map(|row| data.origins[row].line);
+    let places = RowOrigin::both_in_words(first.map(|row| data.origins[row]));
     let file = data.files.get(data.origins[first[1]].file).filter(|_| data.files.len() > 1);
     Some(format!(
-        "{}: {count} rows have the numbers of earlier ones to the last digit under other labels (the first: lines {} and {}{}): are \
+        "{}: {count} rows have the numbers of earlier ones to the last digit under other labels (the first: {places}{}): are \
          they copies? Each counts as a measurement of its own",
         set.name,
-        lines[0],
-        lines[1],
         file.map_or(String::new(), |file| format!(" of `{}`", file.display()))
     ))
 }
@@ -102,13 +102,13 @@ fn copied_across(sets: &[(&ObservationSet, f64)]) -> Vec<String> {
             let Some(earlier) = fine_rows(one, *own) else { continue };
             let Some((count, lines)) = copied_between((first, earlier), (second, &rows)) else { continue };
             found.push(format!(
-                "{} and {}: {count} rows have the same numbers to the last digit (the first: line {} of `{}` and line {} of `{}`): are \
+                "{} and {}: {count} rows have the same numbers to the last digit (the first: {} of `{}` and {} of `{}`): are \
                  they copies? Each counts as a measurement of its own",
                 one.name,
                 other.name,
-                first.origins[lines[0]].line,
+                first.origins[lines[0]].in_words(),
                 file_of(first, lines[0]),
-                second.origins[lines[1]].line,
+                second.origins[lines[1]].in_words(),
                 file_of(second, lines[1])
             ));
         }

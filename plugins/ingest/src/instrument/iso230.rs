@@ -12,7 +12,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::table::{Rows, number, stage_of};
-use crate::assembly::{Filters, Paths};
+use abbe_assembly::{Filters, Paths};
 use crate::log::shown;
 
 abbe_core::register!(
