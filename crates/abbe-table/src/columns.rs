@@ -34,7 +34,7 @@ pub enum Cell<'a> {
 }
 
 /// The cells of a column, in some rows that follow each other.
-pub trait Cells {
+pub trait ColumnCells {
     /// The cell of a row, from 0.
     fn cell(&self, row: usize) -> Cell<'_>;
 }
@@ -229,7 +229,7 @@ impl<'a> ColumnsOfFile<'a> {
     /// Adds rows: the cells of each column, in the order of [`NamedColumns::headers`].
     ///
     /// Fails as reading the same table in CSV does, with the number of the row.
-    pub fn add(&mut self, rows: usize, cells: &[Box<dyn Cells + '_>]) -> Result<()> {
+    pub fn add(&mut self, rows: usize, cells: &[Box<dyn ColumnCells + '_>]) -> Result<()> {
         for row in 0..rows {
             self.rows += 1;
             self.add_row(row, cells).map_err(|error| {
@@ -240,7 +240,7 @@ impl<'a> ColumnsOfFile<'a> {
         Ok(())
     }
 
-    fn add_row(&mut self, row: usize, cells: &[Box<dyn Cells + '_>]) -> Result<()> {
+    fn add_row(&mut self, row: usize, cells: &[Box<dyn ColumnCells + '_>]) -> Result<()> {
         self.numbers.clear();
         for (taken, cells) in self.named.taken.iter().zip(cells) {
             if taken.header.quantity == Quantity::Label {

@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Quantity, Result, Values};
 
 pub use abbe_core::ranges::TEMPERATURES;
-pub use columns::{Cell, Cells, ColumnsOfFile, Field, NamedColumns};
+pub use columns::{Cell, ColumnCells, ColumnsOfFile, Field, NamedColumns};
 pub use layout::{ColumnSource, Decimal, Encoding, Layout, Separator, Thousands, Unit};
 pub use number::{number, number_in};
 pub use rewrite::{Cells, with_cells, with_cells_laid_out, with_columns};

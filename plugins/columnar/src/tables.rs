@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use abbe_core::{
     AxisKind, Calibration, Error, Fit, KinematicModel, NamedCovariance, Result, Status, StatusRole, Values,
 };
-use abbe_estimation::residual_rows;
+use abbe_estimation::{RowResidual, residual_rows};
 use abbe_volumetric::{Grid, predict, within};
 
 /// A table.
@@ -54,16 +54,16 @@ fn labels(name: &str, labels: impl IntoIterator<Item = String>) -> OfTable {
 pub fn residuals(fit: &Fit) -> Result<Table> {
     let rows = residual_rows(fit)?;
     let sets = &fit.problem.sets;
-    let data = |row: &abbe_estimation::RowResidual| &sets[row.set].info().layout.data;
-    let origin = |row| data(row).origins[row.data_row];
-    let optional = |name: &str, unit: &str, value: &dyn Fn(&abbe_estimation::RowResidual) -> Option<f64>| {
+    let data = |row: &RowResidual| &sets[row.set].info().layout.data;
+    let origin = |row: &RowResidual| data(row).origins[row.data_row];
+    let optional = |name: &str, unit: &str, value: &dyn Fn(&RowResidual) -> Option<f64>| {
         column(name, unit, OfRows::Optional(rows.iter().map(value).collect()))
     };
-    let whole = |name: &str, value: &dyn Fn(&abbe_estimation::RowResidual) -> usize| {
+    let whole = |name: &str, value: &dyn Fn(&RowResidual) -> usize| {
         let number = |row| i64::try_from(value(row)).unwrap_or(i64::MAX);
         column(name, "", OfRows::Whole(rows.iter().map(number).collect()))
     };
-    let file = |row| data(row).files[origin(row).file].display().to_string();
+    let file = |row: &RowResidual| data(row).files[origin(row).file].display().to_string();
     let mut columns = vec![
         labels("stage", rows.iter().map(|row| sets[row.set].name.clone())),
         labels("file", rows.iter().map(file)),

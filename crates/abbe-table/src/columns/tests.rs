@@ -7,7 +7,7 @@ use crate::layout::ColumnSource;
 
 struct Column(Vec<Cell<'static>>);
 
-impl Cells for Column {
+impl ColumnCells for Column {
     fn cell(&self, row: usize) -> Cell<'_> {
         self.0[row].clone()
     }
@@ -25,8 +25,8 @@ fn text(text: &'static str) -> Cell<'static> {
 fn read(columns: &[(Field, Vec<Cell<'static>>)], layout: &Layout) -> Result<(Dataset, usize)> {
     let fields: Vec<Field> = columns.iter().map(|(field, _)| field.clone()).collect();
     let named = NamedColumns::new(Path::new("t.parquet"), &fields, layout)?;
-    let cells: Vec<Box<dyn Cells>> =
-        named.fields().into_iter().map(|field| Box::new(Column(columns[field].1.clone())) as Box<dyn Cells>).collect();
+    let cells: Vec<Box<dyn ColumnCells>> =
+        named.fields().into_iter().map(|field| Box::new(Column(columns[field].1.clone())) as Box<dyn ColumnCells>).collect();
     let rows = columns.first().map_or(0, |(_, cells)| cells.len());
     let mut data = ColumnsOfFile::new(named, layout, 1 << 20);
     data.add(rows, &cells)?;

@@ -3,7 +3,7 @@
 use std::fmt::Display;
 
 use abbe_core::{Error, Result};
-use abbe_table::{Cell, Cells};
+use abbe_table::{Cell, ColumnCells};
 use arrow_array::cast::AsArray;
 use arrow_array::types::{
     Decimal32Type, Decimal64Type, Decimal128Type, Decimal256Type, DecimalType, Float16Type, Float32Type, Float64Type,
@@ -13,7 +13,7 @@ use arrow_array::{Array, ArrayRef, ArrowPrimitiveType, PrimitiveArray};
 use arrow_schema::DataType;
 
 /// The cells of a column. Fails for types that are neither numbers nor texts.
-pub fn cells_of<'a>(array: &'a ArrayRef, name: &str) -> Result<Box<dyn Cells + 'a>> {
+pub fn cells_of<'a>(array: &'a ArrayRef, name: &str) -> Result<Box<dyn ColumnCells + 'a>> {
     Ok(match array.data_type() {
         DataType::Int8 => whole::<Int8Type>(array),
         DataType::Int16 => whole::<Int16Type>(array),
@@ -69,11 +69,11 @@ fn of<'a, A: ?Sized>(
     array: &'a ArrayRef,
     values: &'a A,
     cell: impl Fn(&'a A, usize) -> Cell<'a> + 'a,
-) -> Box<dyn Cells + 'a> {
+) -> Box<dyn ColumnCells + 'a> {
     Box::new(Values { array, values, cell })
 }
 
-impl<'a, A: ?Sized, F: Fn(&'a A, usize) -> Cell<'a>> Cells for Values<'a, A, F> {
+impl<'a, A: ?Sized, F: Fn(&'a A, usize) -> Cell<'a>> ColumnCells for Values<'a, A, F> {
     fn cell(&self, row: usize) -> Cell<'_> {
         match self.array.is_null(row) {
             true => Cell::Missing,
@@ -82,21 +82,21 @@ impl<'a, A: ?Sized, F: Fn(&'a A, usize) -> Cell<'a>> Cells for Values<'a, A, F> 
     }
 }
 
-fn whole<'a, T: ArrowPrimitiveType>(array: &'a ArrayRef) -> Box<dyn Cells + 'a>
+fn whole<'a, T: ArrowPrimitiveType>(array: &'a ArrayRef) -> Box<dyn ColumnCells + 'a>
 where
     i128: From<T::Native>,
 {
     of(array, array.as_primitive::<T>(), |all: &PrimitiveArray<T>, row| Cell::Whole(i128::from(all.value(row))))
 }
 
-fn decimal<'a, T: DecimalType>(array: &'a ArrayRef) -> Box<dyn Cells + 'a> {
+fn decimal<'a, T: DecimalType>(array: &'a ArrayRef) -> Box<dyn ColumnCells + 'a> {
     of(array, array.as_primitive::<T>(), |all: &PrimitiveArray<T>, row| Cell::Text(all.value_as_string(row).into()))
 }
 
 /// A column without values.
 struct Nothing;
 
-impl Cells for Nothing {
+impl ColumnCells for Nothing {
     fn cell(&self, _: usize) -> Cell<'_> {
         Cell::Missing
     }
@@ -106,10 +106,10 @@ impl Cells for Nothing {
 struct Dictionary<'a> {
     array: &'a ArrayRef,
     keys: Vec<usize>,
-    values: Box<dyn Cells + 'a>,
+    values: Box<dyn ColumnCells + 'a>,
 }
 
-impl Cells for Dictionary<'_> {
+impl ColumnCells for Dictionary<'_> {
     fn cell(&self, row: usize) -> Cell<'_> {
         match self.array.is_null(row) {
             true => Cell::Missing,
