@@ -132,7 +132,7 @@ pub fn exported(folder: &Path) -> (Variant, abbe_engine::Outcome) {
     let axes = json!({ "X": { "from_mm": -100, "to_mm": 100 }, "B": { "from_deg": -30, "to_deg": 30 } });
     stages.insert(
         "tables".to_owned(),
-        json!({ "export": "parquet", "of": ["fit"], "grid": { "points": 3, "axes": axes } }),
+        json!({ "export": "parquet", "of": ["fit"], "grid": { "points": { "X": 3, "B": 3 }, "axes": axes } }),
     );
     stages.insert("draws".to_owned(), json!({ "export": "parquet", "of": ["trials"], "tables": ["samples"] }));
     let outcome = recipe.run();
@@ -192,8 +192,10 @@ fn results_have_all_digits() {
 /// The columns that are looked at of a table.
 fn columns(name: &str) -> Value {
     match name {
-        "fit.residuals.parquet" => json!({ "residual_mm": "residual_mm", "uncertainty_mm": "uncertainty_mm", "tip_y_mm": "tip_y_mm",
-            "B_rad": "B_rad", "file": "file" }),
+        "fit.residuals.parquet" => {
+            json!({ "residual_mm": "residual_mm", "uncertainty_mm": "uncertainty_mm", "tip_y_mm": "tip_y_mm",
+            "B_rad": "B_rad", "file": "file" })
+        }
         "trials.samples.parquet" => json!({ "first_mm": "dxt" }),
         _ => json!({ "x_mm": "x_mm", "X_mm": "X_mm", "B_rad": "B_rad" }),
     }

@@ -116,9 +116,8 @@ fn another_implementation_reads_results() {
     }
     let folder = temporary();
     let (_, outcome) = exported(folder.path());
-    let read = |name: &str| -> Value {
-        serde_json::from_str(&python(READ, &[&folder.path().join(name)])).expect("JSON")
-    };
+    let read =
+        |name: &str| -> Value { serde_json::from_str(&python(READ, &[&folder.path().join(name)])).expect("JSON") };
     let bits = |number: f64| Value::from(format!("{:016x}", number.to_bits()));
     let calibration = &fit(&outcome, "fit").calibration;
     let parameters = read("fit.parameters.parquet");
@@ -140,7 +139,9 @@ fn another_implementation_reads_results() {
         assert_eq!(residuals["residual_mm"]["cells"][index], bits(row.value));
         assert_eq!(residuals["residual_rad"]["cells"][index], Value::Null);
     }
-    for (column, unit) in [("residual_mm", "mm"), ("residual_rad", "rad"), ("time_s", "s"), ("direction_x", "1"), ("B_rad", "rad")] {
+    for (column, unit) in
+        [("residual_mm", "mm"), ("residual_rad", "rad"), ("time_s", "s"), ("direction_x", "1"), ("B_rad", "rad")]
+    {
         assert_eq!(residuals[column]["unit"], unit, "{column}");
     }
     assert_eq!(read("trials.samples.parquet")["dxt"]["unit"], "mm");

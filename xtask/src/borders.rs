@@ -71,7 +71,10 @@ const CRATES: [Border; 29] = [
             "abbe-table",
         ],
     ),
-    border("abbe-report", &["abbe-core", "abbe-engine", "abbe-estimation", "abbe-files", "abbe-probe", "abbe-trend", "abbe-volumetric"]),
+    border(
+        "abbe-report",
+        &["abbe-core", "abbe-engine", "abbe-estimation", "abbe-files", "abbe-probe", "abbe-trend", "abbe-volumetric"],
+    ),
     border(
         "abbe",
         &[

@@ -1,8 +1,6 @@
 //! The residuals of a fit one by one, each with the row that it is of.
 
-use abbe_core::{
-    Axis, DataRow, EquationIndex, Evaluation, Fit, Quantity, Result, RowIndex, SetIndex,
-};
+use abbe_core::{Axis, DataRow, EquationIndex, Evaluation, Fit, Quantity, Result, RowIndex, SetIndex};
 
 /// The residual of an equation of a row that was measured.
 #[derive(Debug, Clone, PartialEq)]

@@ -196,7 +196,8 @@ impl<R: Read> Read for Content<R> {
         match self.read > self.most {
             true => {
                 let most = self.most >> 20;
-                let message = format!("and its content has more than {most} MiB, the most that is read of a file of its size");
+                let message =
+                    format!("and its content has more than {most} MiB, the most that is read of a file of its size");
                 Err(self.unreadable(ErrorKind::FileTooLarge, message))
             }
             false => Ok(count),
@@ -308,7 +309,8 @@ mod tests {
         }
         assert_eq!(content_of(b"\x1f\x8b".to_vec()).unwrap(), (b"\x1f\x8b".to_vec(), Packing::None));
         // A part that holds no content is skipped.
-        let skipped = [&[0x51, 0x2a, 0x4d, 0x18, 2, 0, 0, 0, 9, 9][..], &Packing::Zstandard.pack(b"b".to_vec())].concat();
+        let skipped =
+            [&[0x51, 0x2a, 0x4d, 0x18, 2, 0, 0, 0, 9, 9][..], &Packing::Zstandard.pack(b"b".to_vec())].concat();
         assert_eq!(content_of(skipped).unwrap().0, b"b");
     }
 

@@ -110,8 +110,10 @@ fn named(field: &Field) -> Result<(ColumnHeader, Option<Unit>)> {
         true => Ok((header, (symbol != "1").then_some(unit))),
         // A label has no unit, and is none of these numbers.
         false if symbol == "1" => Ok((header, None)),
-        false => Err(Error::usage(format!("`{name}` is in `{symbol}`, and its name is not one of a number without a unit"))
-            .help("name it under `columns`, with the unit that it has in the data set")),
+        false => {
+            Err(Error::usage(format!("`{name}` is in `{symbol}`, and its name is not one of a number without a unit"))
+                .help("name it under `columns`, with the unit that it has in the data set"))
+        }
     }
 }
 
@@ -165,13 +167,19 @@ fn unknown(name: &str, symbol: &str) -> Error {
 }
 
 fn contradiction(field: &Field, symbol: &str) -> Error {
-    Error::usage(format!("the file says that `{}` is in `{symbol}`, and its name says another unit", shown(&field.name)))
-        .help("correct the file: one of them is wrong")
+    Error::usage(format!(
+        "the file says that `{}` is in `{symbol}`, and its name says another unit",
+        shown(&field.name)
+    ))
+    .help("correct the file: one of them is wrong")
 }
 
 fn contradiction_of(header: &str, field: &Field, symbol: &str) -> Error {
-    Error::usage(format!("the file says that `{}` is in `{symbol}`, which is no unit of `{header}`", shown(&field.name)))
-        .help("correct the name under `columns`, or the file")
+    Error::usage(format!(
+        "the file says that `{}` is in `{symbol}`, which is no unit of `{header}`",
+        shown(&field.name)
+    ))
+    .help("correct the name under `columns`, or the file")
 }
 
 /// The place of a column by its name.
@@ -265,7 +273,10 @@ impl<'a> ColumnsOfFile<'a> {
             }
         }
         if self.content > self.most {
-            let message = format!("the content has more than {} MiB, the most that is read of a file of its size", self.most >> 20);
+            let message = format!(
+                "the content has more than {} MiB, the most that is read of a file of its size",
+                self.most >> 20
+            );
             return Err(Error::data(message).help("is it a table of measurements? One by one they take more room"));
         }
         self.origins.push(RowOrigin { file: 0, line: 0, row: self.rows });
@@ -334,8 +345,11 @@ fn label(header: &str, cell: Cell<'_>) -> Result<String> {
         return Err(Error::data(format!("`{header}` has {length} KiB; at most {} are read", LONGEST_CELL >> 10)));
     }
     if text.contains(['\n', '\r', '\0']) {
-        return Err(Error::data(format!("`{header}` is `{}`, which has several lines", shown(&text.replace(['\n', '\r', '\0'], " "))))
-            .help("a label has one line"));
+        return Err(Error::data(format!(
+            "`{header}` is `{}`, which has several lines",
+            shown(&text.replace(['\n', '\r', '\0'], " "))
+        ))
+        .help("a label has one line"));
     }
     Ok(text)
 }

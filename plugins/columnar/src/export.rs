@@ -1,8 +1,6 @@
 //! Exporter `parquet`: residuals, parameters, covariances, samples and the volumetric error as Parquet files.
 
-use abbe_core::{
-    Calibration, Context, Export, ExportedFile, Fit, KinematicModel, PathItem, Result, SettingsError,
-};
+use abbe_core::{Calibration, Context, Export, ExportedFile, Fit, KinematicModel, PathItem, Result, SettingsError};
 use abbe_volumetric::Grid;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -91,9 +89,8 @@ impl Parquet {
 }
 
 fn written(tables: &[Table]) -> Result<Vec<ExportedFile>> {
-    let file = |table: &Table| {
-        Ok(ExportedFile { name: format!("{}.parquet", table.name), content: format::parquet(table)? })
-    };
+    let file =
+        |table: &Table| Ok(ExportedFile { name: format!("{}.parquet", table.name), content: format::parquet(table)? });
     tables.iter().map(file).collect()
 }
 

@@ -74,7 +74,12 @@ impl Estimate for Propagation {
         }
         let draws = Draws::new(&self.settings, fit)?;
         self.may_keep(draws.quantities())?;
-        let mut found = Found { trials: Trials::new(draws.quantities()), failed: 0, stable: None, samples: self.settings.keep_samples.then(Vec::new) };
+        let mut found = Found {
+            trials: Trials::new(draws.quantities()),
+            failed: 0,
+            stable: None,
+            samples: self.settings.keep_samples.then(Vec::new),
+        };
         match &self.settings.adaptive {
             None => self.solve(&draws, fit, self.settings.trials.get(), &mut found, None)?,
             Some(adaptive) => {
@@ -128,7 +133,8 @@ impl Propagation {
         if !self.settings.keep_samples || values <= MOST_KEPT {
             return Ok(());
         }
-        let message = format!("{trials} trials of {quantities} quantities are {values} values; {MOST_KEPT} at most are kept");
+        let message =
+            format!("{trials} trials of {quantities} quantities are {values} values; {MOST_KEPT} at most are kept");
         Err(Error::usage(message).help("ask for fewer trials, or leave it out").setting("keep_samples"))
     }
 

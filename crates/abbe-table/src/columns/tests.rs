@@ -25,8 +25,11 @@ fn text(text: &'static str) -> Cell<'static> {
 fn read(columns: &[(Field, Vec<Cell<'static>>)], layout: &Layout) -> Result<(Dataset, usize)> {
     let fields: Vec<Field> = columns.iter().map(|(field, _)| field.clone()).collect();
     let named = NamedColumns::new(Path::new("t.parquet"), &fields, layout)?;
-    let cells: Vec<Box<dyn ColumnCells>> =
-        named.fields().into_iter().map(|field| Box::new(Column(columns[field].1.clone())) as Box<dyn ColumnCells>).collect();
+    let cells: Vec<Box<dyn ColumnCells>> = named
+        .fields()
+        .into_iter()
+        .map(|field| Box::new(Column(columns[field].1.clone())) as Box<dyn ColumnCells>)
+        .collect();
     let rows = columns.first().map_or(0, |(_, cells)| cells.len());
     let mut data = ColumnsOfFile::new(named, layout, 1 << 20);
     data.add(rows, &cells)?;
@@ -58,7 +61,8 @@ fn units_stand_in_names_or_beside_them() {
         ("nx", "1", "nx", 2.0),
         ("nx", "", "nx", 2.0),
     ] {
-        let (data, _) = one(name, unit, vec![Cell::Number(2.0)]).unwrap_or_else(|error| panic!("{name} {unit}: {error}"));
+        let (data, _) =
+            one(name, unit, vec![Cell::Number(2.0)]).unwrap_or_else(|error| panic!("{name} {unit}: {error}"));
         assert_eq!(data.columns[0].header, ColumnHeader::parse(header), "{name} {unit}");
         assert_eq!(data.columns[0].values, Values::Numbers(vec![expected]), "{name} {unit}");
     }
@@ -110,7 +114,9 @@ fn cells_mean_what_they_mean_in_csv() {
 
     let expected = "t.parquet: row 2: `X_mm` is empty; a number was expected";
     assert!(message("X_mm", "", vec![Cell::Number(1.0), Cell::Missing]).starts_with(expected));
-    assert!(message("X_mm", "", vec![Cell::Number(f64::NAN)]).contains("row 1: `X_mm` is `NaN`, which is not a finite"));
+    assert!(
+        message("X_mm", "", vec![Cell::Number(f64::NAN)]).contains("row 1: `X_mm` is `NaN`, which is not a finite")
+    );
     assert!(message("X_mm", "", vec![text("one")]).contains("`X_mm` is `one`; a number was expected"));
     assert!(message("T_degC", "", vec![Cell::Number(293.15e3)]).contains("a temperature from"));
     assert!(message("a", "", vec![text("one\ntwo")]).contains("several lines"));
@@ -119,7 +125,8 @@ fn cells_mean_what_they_mean_in_csv() {
     assert_eq!(one("X_mm", "", vec![text("1.5")]).unwrap().0.columns[0].values, Values::Numbers(vec![1.5]));
 
     let layout = Layout { no_data: ["", "nan", "-9999"].map(str::to_owned).into(), ..Layout::default() };
-    let cells = vec![Cell::Missing, Cell::Number(f64::NAN), Cell::Whole(-9999), Cell::Number(-9999.0), Cell::Number(4.0)];
+    let cells =
+        vec![Cell::Missing, Cell::Number(f64::NAN), Cell::Whole(-9999), Cell::Number(-9999.0), Cell::Number(4.0)];
     let (data, left_out) = read(&[(field("X_mm", ""), cells)], &layout).unwrap();
     assert_eq!((data.rows(), left_out, data.origins[0]), (1, 4, RowOrigin { file: 0, line: 0, row: 5 }));
 }
@@ -127,7 +134,8 @@ fn cells_mean_what_they_mean_in_csv() {
 #[test]
 fn names_are_there_once() {
     let all = |names: &[&str]| {
-        let columns: Vec<(Field, Vec<Cell<'static>>)> = names.iter().map(|name| (field(name, ""), vec![text("1")])).collect();
+        let columns: Vec<(Field, Vec<Cell<'static>>)> =
+            names.iter().map(|name| (field(name, ""), vec![text("1")])).collect();
         read(&columns, &Layout::default()).unwrap_err().to_string()
     };
     assert!(all(&["X_mm", "X_um"]).contains("the columns `X_mm` and `X_um` are both named `X`"));

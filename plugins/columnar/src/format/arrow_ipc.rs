@@ -139,7 +139,10 @@ fn check(message: &Message<'_>, body: &[u8], most: u64) -> Result<(), String> {
     for length in lengths(&described, body)? {
         content = content.saturating_add(length);
         if content > most {
-            return Err(format!("its content has more than {} MiB, the most that is read of a file of its size", most >> 20));
+            return Err(format!(
+                "its content has more than {} MiB, the most that is read of a file of its size",
+                most >> 20
+            ));
         }
     }
     Ok(())

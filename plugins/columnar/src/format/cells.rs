@@ -23,12 +23,12 @@ pub fn cells_of<'a>(array: &'a ArrayRef, name: &str) -> Result<Box<dyn ColumnCel
         DataType::UInt16 => whole::<UInt16Type>(array),
         DataType::UInt32 => whole::<UInt32Type>(array),
         DataType::UInt64 => whole::<UInt64Type>(array),
-        DataType::Float16 => of(array, array.as_primitive::<Float16Type>(), |all, row| {
-            Cell::Number(all.value(row).to_f64())
-        }),
-        DataType::Float32 => of(array, array.as_primitive::<Float32Type>(), |all, row| {
-            Cell::Number(f64::from(all.value(row)))
-        }),
+        DataType::Float16 => {
+            of(array, array.as_primitive::<Float16Type>(), |all, row| Cell::Number(all.value(row).to_f64()))
+        }
+        DataType::Float32 => {
+            of(array, array.as_primitive::<Float32Type>(), |all, row| Cell::Number(f64::from(all.value(row))))
+        }
         DataType::Float64 => of(array, array.as_primitive::<Float64Type>(), |all, row| Cell::Number(all.value(row))),
         DataType::Decimal32(..) => decimal::<Decimal32Type>(array),
         DataType::Decimal64(..) => decimal::<Decimal64Type>(array),

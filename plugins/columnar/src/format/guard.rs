@@ -53,7 +53,10 @@ mod tests {
     #[test]
     fn a_panic_is_an_error_of_the_file() {
         let broken = guarded::<()>(Format::Parquet, Path::new("a.parquet"), || panic!("inside")).unwrap_err();
-        assert!(broken.to_string().starts_with("a.parquet: the file cannot be read as Parquet: the library"), "{broken}");
+        assert!(
+            broken.to_string().starts_with("a.parquet: the file cannot be read as Parquet: the library"),
+            "{broken}"
+        );
         assert_eq!(guarded(Format::Parquet, Path::new("a"), || Ok(1)).unwrap(), 1);
         assert!(panic::catch_unwind(|| panic!("outside")).is_err());
     }

@@ -39,7 +39,8 @@ pub fn read(path: &Path, layout: &Layout) -> Result<(Dataset, usize)> {
     in_file.dedup();
     let places = wanted.iter().filter_map(|field| in_file.binary_search(field).ok()).collect();
     let mask = ProjectionMask::roots(file.parquet_schema(), in_file);
-    let batches = file.with_projection(mask).with_batch_size(ROWS).build().map_err(|why| broken(Parquet, path, &why))?;
+    let batches =
+        file.with_projection(mask).with_batch_size(ROWS).build().map_err(|why| broken(Parquet, path, &why))?;
     let mut data = Growing::new(path, named, places, layout, size);
     for batch in batches {
         data.add(&batch.map_err(|why| broken(Parquet, path, &why))?)?;

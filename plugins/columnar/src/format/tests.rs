@@ -126,7 +126,9 @@ fn labels(random: &mut Random, rows: usize) -> (ArrayRef, Vec<String>) {
 fn tried(random: &mut Random, with_nulls: bool) -> Tried {
     let rows = 1 + random.below(400);
     let (mut fields, mut arrays, mut names, mut cells) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    for (name, unit) in NUMBERS.into_iter().filter(|(name, _)| *name == "X" || random.next() % 3 > 0).collect::<Vec<_>>() {
+    for (name, unit) in
+        NUMBERS.into_iter().filter(|(name, _)| *name == "X" || random.next() % 3 > 0).collect::<Vec<_>>()
+    {
         let (array, text) = numbers(random, rows, with_nulls);
         let full = format!("{name}_{}", unit.replace('/', "_per_"));
         let is_beside = random.next() % 2 == 0;
@@ -245,7 +247,8 @@ fn a_table_means_what_it_means_in_csv() {
         let expected = told(expected);
         for format in FORMATS {
             let bytes = bytes(format, &tried, random);
-            let found = read(format, folder.path(), &bytes, &layout).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
+            let found =
+                read(format, folder.path(), &bytes, &layout).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
             assert_eq!(found.0.origins[0].line, 0);
             assert_eq!(told(found), expected, "seed {seed}, {format:?}");
             if with_nulls && expected.2 > 0 {
@@ -255,7 +258,8 @@ fn a_table_means_what_it_means_in_csv() {
         }
         // A number with the other sign is another table.
         if let Some(numbers) = tried.arrays[0].as_any().downcast_ref::<Float64Array>() {
-            tried.arrays[0] = Arc::new(numbers.iter().map(|number| number.map(|number| -number)).collect::<Float64Array>());
+            tried.arrays[0] =
+                Arc::new(numbers.iter().map(|number| number.map(|number| -number)).collect::<Float64Array>());
             for format in FORMATS {
                 let bytes = bytes(format, &tried, random);
                 assert_ne!(told(read(format, folder.path(), &bytes, &layout).unwrap()), expected, "seed {seed}");
@@ -305,9 +309,8 @@ fn broken_files_are_refused() {
 #[test]
 fn what_is_no_such_file_is_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let message = |format: Format, bytes: &[u8]| {
-        read(format, folder.path(), bytes, &Layout::default()).unwrap_err().to_string()
-    };
+    let message =
+        |format: Format, bytes: &[u8]| read(format, folder.path(), bytes, &Layout::default()).unwrap_err().to_string();
     for format in FORMATS {
         for bytes in [&b""[..], b"X_mm,feature\n1,2\n", b"PAR1", b"ARROW1\0\0", b"PAR1PAR1PAR1PAR1", &[0xff; 4096]] {
             let message = message(format, bytes);
@@ -323,7 +326,10 @@ fn types_that_are_no_numbers_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let days: ArrayRef = Arc::new(Date32Array::from(vec![1, 2]));
     let numbers: ArrayRef = Arc::new(Float64Array::from(vec![1.5, 2.5]));
-    let fields = vec![Field::new("day", days.data_type().clone(), false), Field::new("X_mm", numbers.data_type().clone(), false)];
+    let fields = vec![
+        Field::new("day", days.data_type().clone(), false),
+        Field::new("X_mm", numbers.data_type().clone(), false),
+    ];
     let tried = Tried { fields, arrays: vec![days, numbers], csv: String::new() };
     let source = abbe_table::ColumnSource { column: "X_mm".to_owned(), unit: None };
     let taken = Layout { columns: Some([("X_mm".to_owned(), source)].into()), ..Layout::default() };
@@ -340,8 +346,12 @@ fn a_few_bytes_do_not_become_gigabytes() {
     let folder = tempfile::tempdir().unwrap();
     // Runs of one value take a few bytes, however long they are.
     let rows = 6_000_000;
-    let arrays: Vec<ArrayRef> = vec![Arc::new(Float64Array::from(vec![1.0; rows])), Arc::new(Int64Array::from(vec![1; rows]))];
-    let fields = ["X_mm", "feature"].iter().zip(&arrays).map(|(name, array)| Field::new(*name, array.data_type().clone(), false));
+    let arrays: Vec<ArrayRef> =
+        vec![Arc::new(Float64Array::from(vec![1.0; rows])), Arc::new(Int64Array::from(vec![1; rows]))];
+    let fields = ["X_mm", "feature"]
+        .iter()
+        .zip(&arrays)
+        .map(|(name, array)| Field::new(*name, array.data_type().clone(), false));
     let tried = Tried { fields: fields.collect(), arrays, csv: String::new() };
     let properties = WriterProperties::builder().set_compression(Compression::ZSTD(ZstdLevel::default())).build();
     let batch = tried.batch();
@@ -350,7 +360,9 @@ fn a_few_bytes_do_not_become_gigabytes() {
     let options = IpcWriteOptions::default().try_with_compression(Some(CompressionType::ZSTD)).unwrap();
     let mut stream = StreamWriter::try_new_with_options(Vec::new(), &batch.schema(), options).unwrap();
     stream.write(&batch).unwrap();
-    for (format, bytes) in [(Format::Parquet, writer.into_inner().unwrap()), (Format::ArrowIpc, stream.into_inner().unwrap())] {
+    for (format, bytes) in
+        [(Format::Parquet, writer.into_inner().unwrap()), (Format::ArrowIpc, stream.into_inner().unwrap())]
+    {
         assert!(bytes.len() < 500_000, "{format:?}: {}", bytes.len());
         let error = read(format, folder.path(), &bytes, &Layout::default()).unwrap_err().to_string();
         assert!(error.contains("content has more than 64 MiB"), "{error}");
