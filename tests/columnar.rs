@@ -128,7 +128,10 @@ fn messages_name_the_row() {
 pub fn exported(folder: &Path) -> (Variant, abbe_engine::Outcome) {
     let mut recipe = Variant::of(&recipes()["first-steps"]);
     let stages = recipe.0["stages"].as_object_mut().expect("stages");
-    stages.insert("trials".to_owned(), json!({ "estimate": "monte-carlo", "of": "fit", "trials": 400, "coverage_probability": 0.5, "keep_samples": true }));
+    let settings = json!({ "trials": 400, "coverage_probability": 0.5, "keep_samples": true });
+    let mut trials = json!({ "estimate": "monte-carlo", "of": "fit" });
+    trials.as_object_mut().expect("a map").extend(settings.as_object().expect("a map").clone());
+    stages.insert("trials".to_owned(), trials);
     let axes = json!({ "X": { "from_mm": -100, "to_mm": 100 }, "B": { "from_deg": -30, "to_deg": 30 } });
     stages.insert(
         "tables".to_owned(),

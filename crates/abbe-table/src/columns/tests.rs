@@ -53,7 +53,7 @@ fn units_stand_in_names_or_beside_them() {
         ("d", "µm", "d_um", 2e-3),
         ("X", "in", "X_mm", 50.8),
         ("B", "°", "B_deg", 2.0 * std::f64::consts::PI / 180.0),
-        ("T", "K", "T_degC", -271.15),
+        ("T", "degF", "T_degC", (2.0 - 32.0) * (5.0 / 9.0)),
         ("T", "°C", "T_degC", 2.0),
         ("scale", "um/m", "scale_um_per_m", 2e-6),
         ("a", "1/K", "a_per_K", 2.0),

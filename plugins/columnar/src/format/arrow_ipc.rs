@@ -8,7 +8,6 @@ use std::path::Path;
 
 use abbe_core::{Dataset, Result};
 use abbe_table::{Layout, NamedColumns, unreadable};
-use arrow_array::RecordBatch;
 use arrow_buffer::Buffer;
 use arrow_ipc::reader::StreamDecoder;
 use arrow_ipc::{Message, RecordBatch as Described, root_as_message};
@@ -36,9 +35,14 @@ pub fn schema(path: &Path) -> Result<Schema> {
     let file = abbe_files::open(path).map_err(|error| unreadable(path, &error))?;
     let mut bytes = Vec::new();
     file.take(LARGEST_SCHEMA).read_to_end(&mut bytes).map_err(|error| unreadable(path, &error))?;
-    let mut stream = Stream::new(bytes);
-    stream.advance().map_err(|why| failed(&why))?;
-    let schema = stream.decoder.schema().ok_or_else(|| failed(&"it does not describe its columns"))?;
+    let begin = begin(&bytes);
+    let (Part::Of(end) | Part::Last(end)) = part(&bytes, begin, 0).map_err(|why| failed(&why))?;
+    // A part is known when the next one begins, or the end.
+    four(&bytes, end).map_err(|why| failed(&why))?;
+    let mut decoder = StreamDecoder::new();
+    let mut first = Buffer::from_vec(bytes).slice_with_length(begin, end + 4 - begin);
+    decoder.decode(&mut first).map_err(|why| failed(&why))?;
+    let schema = decoder.schema().ok_or_else(|| failed(&NO_SCHEMA))?;
     Ok(schema.as_ref().clone())
 }
 
@@ -49,87 +53,81 @@ pub fn read(path: &Path, layout: &Layout) -> Result<(Dataset, usize)> {
     let mut bytes = Vec::new();
     file.read_to_end(&mut bytes).map_err(|error| unreadable(path, &error))?;
     if bytes.starts_with(MARK) && (bytes.len() < BEGIN + MARK.len() || !bytes.ends_with(MARK)) {
-        return Err(failed(&"it ends too early"));
+        return Err(failed(&TOO_EARLY));
     }
     let size = bytes.len() as u64;
-    let mut stream = Stream::new(bytes);
+    let begin = begin(&bytes);
+    let end = checked(&bytes, begin, abbe_files::most_content(size)).map_err(|why| failed(&why))?;
+    let mut rest = Buffer::from_vec(bytes).slice_with_length(begin, end - begin);
+    let mut decoder = StreamDecoder::new();
     let mut data: Option<Growing> = None;
     loop {
-        let batch = match stream.advance().map_err(|why| failed(&why))? {
-            Part::Rows(batch) => Some(batch),
-            Part::Other => None,
-            Part::End => break,
-        };
-        if let (None, Some(schema)) = (&data, stream.decoder.schema()) {
+        let batch = decoder.decode(&mut rest).map_err(|why| failed(&why))?;
+        if let (None, Some(schema)) = (&data, decoder.schema()) {
             let named = NamedColumns::new(path, &fields(&schema), layout)?;
             let places = named.fields();
             data = Some(Growing::new(path, named, places, layout, size));
         }
-        if let (Some(data), Some(batch)) = (&mut data, batch) {
-            data.add(&batch)?;
+        match (&mut data, batch) {
+            (Some(data), Some(batch)) => data.add(&batch)?,
+            _ => break,
         }
     }
-    data.ok_or_else(|| failed(&"it does not describe its columns"))?.finish()
-}
-
-/// A part of a stream.
-enum Part {
-    /// Rows.
-    Rows(RecordBatch),
-    /// The schema, or values that later rows refer to.
-    Other,
-    /// The end.
-    End,
-}
-
-/// The parts of a stream one after the other, each looked at before room is made for what it says.
-struct Stream {
-    bytes: Buffer,
-    at: usize,
-    /// Bytes that the content may have.
-    most: u64,
-    decoder: StreamDecoder,
-}
-
-impl Stream {
-    fn new(bytes: Vec<u8>) -> Self {
-        let at = if bytes.starts_with(MARK) { BEGIN.min(bytes.len()) } else { 0 };
-        let most = abbe_files::most_content(bytes.len() as u64);
-        Self { bytes: Buffer::from_vec(bytes), at, most, decoder: StreamDecoder::new() }
-    }
-
-    fn advance(&mut self) -> Result<Part, String> {
-        let start = self.at;
-        // A stream that was cut off between two parts would be one with fewer rows: the mark of its end has to be there.
-        let mut length = self.four(start)?;
-        let mut head = start + 4;
-        if length == CONTINUES {
-            length = self.four(head)?;
-            head += 4;
-        }
-        let length = u32::from_le_bytes(length) as usize;
-        if length == 0 {
-            return Ok(Part::End);
-        }
-        let bytes = self.bytes.as_slice();
-        let behind = head.checked_add(length).filter(|end| *end <= bytes.len()).ok_or(TOO_EARLY)?;
-        let message = root_as_message(&bytes[head..behind]).map_err(|why| why.to_string())?;
-        let body = usize::try_from(message.bodyLength()).map_err(|_| "a part of it has a negative length")?;
-        let end = behind.checked_add(body).filter(|end| *end <= bytes.len()).ok_or(TOO_EARLY)?;
-        check(&message, &bytes[behind..end], self.most)?;
-        let mut part = self.bytes.slice_with_length(start, end - start);
-        self.at = end;
-        let rows = self.decoder.decode(&mut part).map_err(|why| why.to_string())?;
-        Ok(rows.map_or(Part::Other, Part::Rows))
-    }
-
-    fn four(&self, at: usize) -> Result<[u8; 4], String> {
-        let found = self.bytes.as_slice().get(at..at + 4).and_then(|four| four.try_into().ok());
-        found.ok_or_else(|| TOO_EARLY.to_owned())
-    }
+    data.ok_or_else(|| failed(&NO_SCHEMA))?.finish()
 }
 
 const TOO_EARLY: &str = "it ends too early";
+
+const NO_SCHEMA: &str = "it does not describe its columns";
+
+/// Where the stream begins.
+fn begin(bytes: &[u8]) -> usize {
+    if bytes.starts_with(MARK) { BEGIN.min(bytes.len()) } else { 0 }
+}
+
+/// A part of a stream, by its end.
+enum Part {
+    /// The schema, rows, or values that later rows refer to.
+    Of(usize),
+    /// The mark of the end. A stream that was cut off between two parts would be one with fewer rows without it.
+    Last(usize),
+}
+
+/// Looks at all parts before room is made for what they say; gives the end of the stream.
+fn checked(bytes: &[u8], begin: usize, most: u64) -> Result<usize, String> {
+    let mut at = begin;
+    loop {
+        match part(bytes, at, most)? {
+            Part::Of(end) => at = end,
+            Part::Last(end) => return Ok(end),
+        }
+    }
+}
+
+/// The part that begins at a place. Its content may have `most` bytes.
+fn part(bytes: &[u8], start: usize, most: u64) -> Result<Part, String> {
+    let mut length = four(bytes, start)?;
+    let mut head = start + 4;
+    if length == CONTINUES {
+        length = four(bytes, head)?;
+        head += 4;
+    }
+    let length = u32::from_le_bytes(length) as usize;
+    if length == 0 {
+        return Ok(Part::Last(head));
+    }
+    let behind = head.checked_add(length).filter(|end| *end <= bytes.len()).ok_or(TOO_EARLY)?;
+    let message = root_as_message(&bytes[head..behind]).map_err(|why| why.to_string())?;
+    let body = usize::try_from(message.bodyLength()).map_err(|_| "a part of it has a negative length")?;
+    let end = behind.checked_add(body).filter(|end| *end <= bytes.len()).ok_or(TOO_EARLY)?;
+    check(&message, &bytes[behind..end], most)?;
+    Ok(Part::Of(end))
+}
+
+fn four(bytes: &[u8], at: usize) -> Result<[u8; 4], String> {
+    let found = bytes.get(at..).and_then(|rest| rest.first_chunk::<4>());
+    found.copied().ok_or_else(|| TOO_EARLY.to_owned())
+}
 
 /// Refuses packed columns that would become larger than what is read of such a file: room is made for them first.
 fn check(message: &Message<'_>, body: &[u8], most: u64) -> Result<(), String> {
