@@ -14,8 +14,8 @@ use serde_json::{Value, json};
 use crate::support::{Variant, fit, json_file, recipes, root};
 
 /// Sets that are simulated unless more are asked for; fewer with 115 unknowns.
-const SETS: usize = 100;
-const SETS_OF_MANY: usize = 50;
+const SETS: usize = 60;
+const SETS_OF_MANY: usize = 30;
 
 /// Part of the sets, at most, in which robust weights may go round without settling: with 46 unknowns or less, and with 115. These
 /// sets give an error and no interval, and are left out of what is counted.

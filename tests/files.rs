@@ -5,7 +5,7 @@ use abbe_engine::{model_of, prepare};
 use serde_json::{Value, json};
 
 use crate::plugins::valid;
-use crate::support::{Small, json_file, read, recipes, registry, root, temporary};
+use crate::support::{Small, json_file, read, recipes_without_twins, registry, root, temporary};
 
 fn schema(name: &str) -> Value {
     json_file(&root().join(format!("docs/schemas/{name}.schema.json")))
@@ -13,7 +13,7 @@ fn schema(name: &str) -> Value {
 
 #[test]
 fn results_are_as_their_schemas_say_and_calibrations_stand_on_their_own() {
-    for (recipe, file) in recipes() {
+    for (recipe, file) in recipes_without_twins() {
         let prepared = prepare(&file, &registry()).unwrap_or_else(|error| panic!("{error}"));
         let outcome = prepared.run(&abbe_core::Monitor::default()).unwrap_or_else(|error| panic!("{error}"));
         let out = temporary();

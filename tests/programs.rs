@@ -647,6 +647,13 @@ fn what_a_program_leaves_open_is_told_or_refused() {
         let found = compensate("iso", silent, &more);
         assert!(found.status == 2 && found.stderr.contains(said), "{more:?}: {}", found.stderr);
     }
+    // What is no file is refused before it is opened: nobody writes to this pipe.
+    let pipe = at.join("pipe.nc");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
+    for file in ["pipe.nc", "/dev/zero", "."] {
+        let found = abbe(at, &["compensate", "fit.calibration.json", file, "--dialect", "iso", "--out", "other.nc"]);
+        assert!(found.status == 2 && found.stderr.contains("cannot be read"), "{file}: {}", found.stderr);
+    }
     let found = compensate("fanuc", &silent.replace("M30", "M198 P1\nM30"), &[]);
     assert!(found.status == 1 && found.stderr.contains("part.nc:3:"), "{}", found.stderr);
 }

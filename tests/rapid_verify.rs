@@ -472,7 +472,7 @@ fn the_programs_refuse_what_makes_no_sense_and_probe_again() {
         let out = strings(&truth(machine, data)["runs"]["10"]["points_out"]["4"]).len();
         assert_eq!((end, probed.probed.len()), (End::Done, one.len() + out), "{controller}");
         if controller == "siemens" {
-            assert_eq!(probed.messages.iter().filter(|message| message.contains("CLEAN")).count(), out);
+            assert_eq!(probed.messages.iter().filter(|message| message.contains("clean probe")).count(), out);
         }
         // Nothing to touch.
         let mut missing = surfaces(machine, data, "baseline", None);

@@ -484,6 +484,8 @@ fn what_is_no_test_is_told_or_decides_nothing() {
     let words = ["are they copies?", "was anything measured?", "is the unit of the column right?"];
     for (name, ingest) in [
         ("positioning", "linear"),
+        ("positioning", "rotary"),
+        ("diagonals", "ppp"),
         ("circular", "slow"),
         ("cmm", "lengths"),
         ("cmm", "sphere"),
@@ -529,11 +531,16 @@ fn what_is_no_test_is_told_or_decides_nothing() {
         rows.iter_mut().for_each(|row| row[measured] = row[reference].clone());
     });
     assert!(remarks(&nothing).contains(words[1]), "{}", remarks(&nothing));
-    let quiet = told("circular", "slow", &|rows, place| {
-        let reading = place("reading_um");
+    // Millimetres for micrometres, and the same of angles.
+    let a_thousandth = |rows: &mut Cells, reading: usize| {
         rows.iter_mut()
             .for_each(|row| row[reading] = format!("{}", 1e-3 * row[reading].parse::<f64>().expect("a number")));
-    });
+    };
+    for (name, ingest) in [("circular", "slow"), ("positioning", "linear"), ("diagonals", "ppp")] {
+        let quiet = told(name, ingest, &move |rows, place| a_thousandth(rows, place("reading_um")));
+        assert!(remarks(&quiet).contains(words[2]), "{name} {ingest}: {}", remarks(&quiet));
+    }
+    let quiet = told("positioning", "rotary", &move |rows, place| a_thousandth(rows, place("reading_urad")));
     assert!(remarks(&quiet).contains(words[2]), "{}", remarks(&quiet));
     // Three rows decide nothing; nor does one diagonal of four.
     let short = told("rotary-interpolation", "read-c", &|rows, _| rows.truncate(3));

@@ -88,6 +88,13 @@ pub fn recipes() -> BTreeMap<String, PathBuf> {
     recipes
 }
 
+/// Those of them that are no twin of another one: on data without noise, with the same stages.
+pub fn recipes_without_twins() -> BTreeMap<String, PathBuf> {
+    let all = recipes();
+    let is_twin = |name: &str| name.strip_suffix("-exact").is_some_and(|other| all.contains_key(other));
+    all.iter().filter(|(name, _)| !is_twin(name)).map(|(name, file)| (name.clone(), file.clone())).collect()
+}
+
 /// The files (not folders) in a folder, sorted.
 pub fn files_in(folder: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));

@@ -219,7 +219,7 @@ fn wandering(seed: u64, noise: f64) -> String {
 #[test]
 fn selection_keeps_what_predicts() {
     let mut kept_more = 0;
-    let all = seeds(5);
+    let all = seeds(3);
     let count = all.clone().count();
     for seed in all {
         let sandbox = Sandbox::new();

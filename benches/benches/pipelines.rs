@@ -20,6 +20,12 @@ fn fits(recipe: &str) -> Result<Vec<Fit>, Error> {
     Ok(prepare(&path, &Registry::built_in()?)?.run(&abbe_core::Monitor::default())?.fits)
 }
 
+/// The unit of all times: one QR decomposition of a dense matrix of the size of the fit S4.
+fn qr(criterion: &mut Criterion) {
+    let matrix = Mat::from_fn(384, 115, |row, column| (1.0 + (row * 115 + column) as f64).sin());
+    criterion.bench_function("qr_384_115", |bencher| bencher.iter(|| black_box(&matrix).qr()));
+}
+
 fn product(criterion: &mut Criterion) {
     let entries = |row: usize, column: usize| ((row * 7 + column * 3) % 11) as f64 - 5.0;
     let (a, b) = (Mat::from_fn(256, 256, entries), Mat::from_fn(256, 256, entries));
@@ -69,6 +75,13 @@ fn mill(criterion: &mut Criterion) {
     let Some(fit) = fits.iter().find(|fit| fit.name == "fit") else { panic!("the recipe has no fit") };
     criterion.bench_function("mill_joint_fit", |bencher| {
         bencher.iter(|| fit.estimator.estimate(black_box(&fit.problem)).map(|calibration| calibration.fit.sigma))
+    });
+    criterion.bench_function("mill_direct_run", |bencher| {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../pipelines/mill-direct.yaml");
+        bencher.iter(|| {
+            let prepared = prepare(black_box(&path), &Registry::built_in()?)?;
+            prepared.run(&abbe_core::Monitor::default()).map(|outcome| outcome.fits.len())
+        })
     });
 }
 
@@ -183,6 +196,6 @@ fn border(criterion: &mut Criterion) {
 criterion_group! {
     name = benches;
     config = Criterion::default().sample_size(20).warm_up_time(Duration::from_secs(1)).without_plots();
-    targets = product, tango, cmm, mill, thermal, set_points, border
+    targets = qr, product, tango, cmm, mill, thermal, set_points, border
 }
 criterion_main!(benches);

@@ -8,6 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "abbe_json.h"
 #include "abbe_plugin.h"
 
 enum { EXX, EYY, EZZ, EC0Y, EA0Z, EB0Z, DXT, DYT, DZT, PARAMETERS };
@@ -108,29 +109,108 @@ static uint32_t poses(void *handle, const AbbePoses *batch, const AbbeReply *rep
     return ABBE_OK;
 }
 
-#define AXIS(name, index, x, y, z) \
-    "{\"name\":\"" name "\",\"kind\":\"linear\",\"branch\":\"tool\",\"sense\":1,\"direction\":[" x "," y "," z "],\"status\":" index "}"
-#define STATUS(name, axis) "{\"name\":\"" name "\",\"role\":{\"command\":" axis "},\"quantity\":\"length\",\"absent\":\"refused\"}"
-#define PARAMETER(name, unit, role) "{\"name\":\"" name "\",\"unit\":\"" unit "\",\"role\":" role "}"
-#define OF_AXIS(kind, axis, component) "{\"" kind "\":{\"axis\":" axis ",\"component\":" component "}}"
-#define SET_UP "\"set-up\""
+/* A parameter of an axis. */
+typedef struct {
+    const char *name, *unit, *kind;
+    int axis, component;
+} Described;
+
+static const Described DESCRIBED[PARAMETERS] = {
+    { "EXX[1]", "mm/mm", "motion", 0, 0 }, { "EYY[1]", "mm/mm", "motion", 1, 1 }, { "EZZ[1]", "mm/mm", "motion", 2, 2 },
+    { "EC0Y", "rad", "location", 1, 5 },   { "EA0Z", "rad", "location", 2, 3 },   { "EB0Z", "rad", "location", 2, 4 },
+    { "dxt", "mm", NULL, 0, 0 },           { "dyt", "mm", NULL, 0, 0 },           { "dzt", "mm", NULL, 0, 0 },
+};
+
+/* The name of a member with a text, or with a whole number. */
+static void member(AbbeJsonWriter *to, const char *key, const char *text)
+{
+    abbe_json_key(to, key);
+    abbe_json_put_text(to, text);
+}
+
+static void index_of(AbbeJsonWriter *to, const char *key, int index)
+{
+    abbe_json_key(to, key);
+    abbe_json_put_number(to, index);
+}
+
+static void describe_axis(AbbeJsonWriter *to, int axis)
+{
+    const char name[2] = { (char)('X' + axis), 0 };
+    abbe_json_open(to, '{');
+    member(to, "name", name);
+    member(to, "kind", "linear");
+    member(to, "branch", "tool");
+    index_of(to, "sense", 1);
+    index_of(to, "status", axis);
+    abbe_json_key(to, "direction");
+    abbe_json_open(to, '[');
+    for (int i = 0; i < 3; i++)
+        abbe_json_put_number(to, i == axis);
+    abbe_json_close(to, ']');
+    abbe_json_close(to, '}');
+}
+
+static void describe_status(AbbeJsonWriter *to, int axis)
+{
+    const char name[2] = { (char)('X' + axis), 0 };
+    abbe_json_open(to, '{');
+    member(to, "name", name);
+    member(to, "quantity", "length");
+    member(to, "absent", "refused");
+    abbe_json_key(to, "role");
+    abbe_json_open(to, '{');
+    index_of(to, "command", axis);
+    abbe_json_close(to, '}');
+    abbe_json_close(to, '}');
+}
+
+static void describe_parameter(AbbeJsonWriter *to, const Described *it)
+{
+    abbe_json_open(to, '{');
+    member(to, "name", it->name);
+    member(to, "unit", it->unit);
+    abbe_json_key(to, "role");
+    if (it->kind) {
+        abbe_json_open(to, '{');
+        abbe_json_key(to, it->kind);
+        abbe_json_open(to, '{');
+        index_of(to, "axis", it->axis);
+        index_of(to, "component", it->component);
+        abbe_json_close(to, '}');
+        abbe_json_close(to, '}');
+    } else
+        abbe_json_put_text(to, "set-up");
+    abbe_json_close(to, '}');
+}
 
 static uint32_t describe(const Machine *machine, const AbbeReply *reply)
 {
-    char text[2048];
-    snprintf(text, sizeof text,
-             "{\"axes\":[" AXIS("X", "0", "1", "0", "0") "," AXIS("Y", "1", "0", "1", "0") "," AXIS("Z", "2", "0", "0", "1")
-             "],\"status\":[" STATUS("X", "0") "," STATUS("Y", "1") "," STATUS("Z", "2") "],\"parameters\":["
-             PARAMETER("EXX[1]", "mm/mm", OF_AXIS("motion", "0", "0")) ","
-             PARAMETER("EYY[1]", "mm/mm", OF_AXIS("motion", "1", "1")) ","
-             PARAMETER("EZZ[1]", "mm/mm", OF_AXIS("motion", "2", "2")) ","
-             PARAMETER("EC0Y", "rad", OF_AXIS("location", "1", "5")) ","
-             PARAMETER("EA0Z", "rad", OF_AXIS("location", "2", "3")) ","
-             PARAMETER("EB0Z", "rad", OF_AXIS("location", "2", "4")) ","
-             PARAMETER("dxt", "mm", SET_UP) "," PARAMETER("dyt", "mm", SET_UP) "," PARAMETER("dzt", "mm", SET_UP)
-             "],\"stylus_radius\":0,\"settings\":{\"tool_length_mm\":%.17g}}", machine->tool_length);
-    say(reply, text);
-    return ABBE_OK;
+    AbbeJsonWriter to = { 0 };
+    abbe_json_open(&to, '{');
+    abbe_json_key(&to, "axes");
+    abbe_json_open(&to, '[');
+    for (int axis = 0; axis < 3; axis++)
+        describe_axis(&to, axis);
+    abbe_json_close(&to, ']');
+    abbe_json_key(&to, "status");
+    abbe_json_open(&to, '[');
+    for (int axis = 0; axis < 3; axis++)
+        describe_status(&to, axis);
+    abbe_json_close(&to, ']');
+    abbe_json_key(&to, "parameters");
+    abbe_json_open(&to, '[');
+    for (int parameter = 0; parameter < PARAMETERS; parameter++)
+        describe_parameter(&to, &DESCRIBED[parameter]);
+    abbe_json_close(&to, ']');
+    index_of(&to, "stylus_radius", 0);
+    abbe_json_key(&to, "settings");
+    abbe_json_open(&to, '{');
+    abbe_json_key(&to, "tool_length_mm");
+    abbe_json_put_number(&to, machine->tool_length);
+    abbe_json_close(&to, '}');
+    abbe_json_close(&to, '}');
+    return abbe_json_reply(&to, reply, ABBE_OK);
 }
 
 static void release(void *handle)
@@ -179,47 +259,49 @@ static uint32_t call_stage(void *handle, uint32_t method, const AbbeQuestion *qu
 
 static const AbbeTable STAGE = { sizeof(AbbeTable), NULL, release, call_stage, NULL, NULL };
 
-static uint32_t wrong(const AbbeReply *reply, const char *path, int key, const char *message)
+/* An error of settings: what is wrong with the setting `path` (that of the map as a whole if it is null); `is_key` if the
+ * name of the setting is wrong. */
+static uint32_t wrong(const AbbeReply *reply, const char *path, int is_key, const char *message)
 {
-    char text[512];
-    snprintf(text, sizeof text, "{\"path\":[%s],\"key\":%s,\"message\":\"%s\"}", path, key ? "true" : "false", message);
-    say(reply, text);
-    return ABBE_FAILED_WITH_DETAILS;
+    AbbeJsonWriter to = { 0 };
+    abbe_json_open(&to, '{');
+    member(&to, "message", message);
+    abbe_json_key(&to, "path");
+    abbe_json_open(&to, '[');
+    if (path)
+        abbe_json_put_text(&to, path);
+    abbe_json_close(&to, ']');
+    abbe_json_key(&to, "key");
+    abbe_json_put(&to, is_key ? "true" : "false");
+    abbe_json_close(&to, '}');
+    return abbe_json_reply(&to, reply, ABBE_FAILED_WITH_DETAILS);
 }
 
-/* The one setting is a number: `{"tool_length_mm": 100}`. Abbe writes JSON without blanks between the parts. */
+/* The one setting is a number: `{"tool_length_mm": 100}`. */
 static uint32_t create(const AbbePlugin *plugin, AbbeText settings, AbbeText base, const AbbeReply *reply)
 {
     (void)plugin;
     (void)base;
-    static const char KEY[] = "{\"tool_length_mm\":";
-    char text[128], *end;
-    if (settings.length == 2 && memcmp(settings.data, "{}", 2) == 0)
-        return wrong(reply, "", 0, "the setting `tool_length_mm` is missing");
-    if (settings.length >= sizeof text || settings.length < sizeof KEY) {
-        if (settings.length < 2 || settings.data[0] != '{')
-            return wrong(reply, "", 0, "a map of settings was expected");
-        return wrong(reply, "", 0, "one setting was expected: `tool_length_mm`, a number");
+    AbbeJson given = abbe_json(settings);
+    if (!abbe_json_is_map(given))
+        return wrong(reply, NULL, 0, "a map of settings was expected");
+    for (AbbeJsonItem item = abbe_json_items(given); abbe_json_next(&item);) {
+        if (abbe_json_is(item.key, "tool_length_mm"))
+            continue;
+        char name[64], message[128];
+        abbe_json_text(item.key, name, sizeof name);
+        snprintf(message, sizeof message, "unknown setting `%s`", name);
+        return wrong(reply, name, 1, message);
     }
-    memcpy(text, settings.data, settings.length);
-    text[settings.length] = 0;
-    if (strncmp(text, KEY, sizeof KEY - 1) != 0)
-        return wrong(reply, "", 0, "the setting `tool_length_mm` was expected first");
-    double length = strtod(text + sizeof KEY - 1, &end);
-    if (end == text + sizeof KEY - 1 || !(length > 0) || length > 1e6)
-        return wrong(reply, "\"tool_length_mm\"", 0, "a positive number was expected");
-    if (strncmp(end, ",\"", 2) == 0) {
-        char key[64], message[128];
-        size_t count = strcspn(end + 2, "\"\\");
-        snprintf(key, sizeof key, "\"%.*s\"", (int)(count < 40 ? count : 40), end + 2);
-        snprintf(message, sizeof message, "unknown setting `%.*s`", (int)(count < 40 ? count : 40), end + 2);
-        return wrong(reply, key, 1, message);
-    }
-    if (strcmp(end, "}") != 0)
-        return wrong(reply, "", 0, "one setting was expected: `tool_length_mm`, a number");
+    AbbeJson stated = abbe_json_member(given, "tool_length_mm");
+    if (!stated.at)
+        return wrong(reply, NULL, 0, "the setting `tool_length_mm` is missing");
+    double length;
+    if (!abbe_json_number(stated, &length) || !(length > 0) || length > 1e6)
+        return wrong(reply, "tool_length_mm", 0, "a positive number up to 1e6 was expected");
     Machine *stage = malloc(sizeof *stage);
     if (!stage)
-        return wrong(reply, "", 0, "no memory");
+        return wrong(reply, NULL, 0, "no memory");
     stage->tool_length = length;
     AbbeObject object = { &STAGE, stage };
     reply->object(reply->context, object);

@@ -1,10 +1,11 @@
 /* A plugin library that does what none should. How the library as a whole is wrong is chosen when it is compiled (LIBRARY_...),
- * what its model does wrong by its setting `mode`. It starts one process at most, and touches none of the memory that it asks for. After `away-` it does so only where a parameter is not zero, and writes on
+ * what its model does wrong by its setting `mode`. It starts one process at most and 2000 threads, and touches none of the memory that it asks for. After `away-` it does so only where a parameter is not zero, and writes on
  * standard error every time that it is asked there. */
 #define _GNU_SOURCE
 #include <fcntl.h>
 #include <fenv.h>
 #include <math.h>
+#include <pthread.h>
 #include <signal.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -35,6 +36,27 @@ static void say(const AbbeReply *reply, const char *text)
 static int is(const Bad *bad, const char *mode)
 {
     return strcmp(bad->mode, mode) == 0;
+}
+
+static void *wait_a_second(void *unused)
+{
+    usleep(1000000);
+    return unused;
+}
+
+/* Starts threads that wait for a second, and waits for their end; gives how many there were. */
+static int threads(int count)
+{
+    static pthread_t all[2000];
+    int started = 0;
+    pthread_attr_t small;
+    pthread_attr_init(&small);
+    pthread_attr_setstacksize(&small, 64 << 10);
+    while (started < count && pthread_create(&all[started], &small, wait_a_second, NULL) == 0)
+        started++;
+    for (int i = 0; i < started; i++)
+        pthread_join(all[i], NULL);
+    return started;
 }
 
 /* What no plugin needs to do: none if it cannot, or does not try. */
@@ -79,6 +101,12 @@ static const char *could(const Bad *bad)
         size_t size = (size_t)3 << 30;
         char *volatile much = malloc(size);
         return much ? "have 3 GiB of memory" : NULL;
+    }
+    if (is(bad, "threads"))
+        return threads(2000) == 2000 ? "start 2000 threads" : NULL;
+    if (is(bad, "some-threads")) {
+        static int started;
+        return started++ || threads(100) == 100 ? NULL : "not start 100 threads";
     }
     if (is(bad, "environment"))
         return getenv("PATH") ? "read the environment" : NULL;

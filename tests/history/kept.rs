@@ -203,7 +203,7 @@ fn a_check_needs_to_know_what_was_repeated() {
     let check = small.abbe(&["history", "check", "plant.sqlite", "--estimate", "fine", "--limit", "EX0C=3furlong"]);
     assert!(check.status == 2 && check.stderr.contains("no unit"), "{}", check.stderr);
     let added = small.abbe(&["history", "add", "absent/plant.sqlite", &all[0]]);
-    assert!(added.status == 2 && added.stderr.contains("its folder has to exist"), "{}", added.stderr);
+    assert!(added.status != 0 && added.stderr.contains("its folder does not exist"), "{}", added.stderr);
     assert!(!small.path("absent").exists());
 }
 

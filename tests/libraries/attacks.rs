@@ -166,6 +166,18 @@ fn memory_processes_signals_files_and_network_are_closed() {
     }
 }
 
+/// No limit of the system counts the threads of one process: who started it does.
+#[test]
+fn threads_without_end_end_the_stage() {
+    let kept = run(temporary().path(), "threads", json!({ "isolate": true }), &[]);
+    assert!(kept.status == Some(1) && kept.said.contains("started more than"), "{}", kept.said);
+    assert!(kept.said.contains("threads; its process was ended"), "{}", kept.said);
+    let bare = in_the_program("threads");
+    assert!(bare.status == Some(1) && bare.said.contains("start 2000 threads"), "{}", bare.said);
+    // A pool of threads is nothing bad.
+    assert_eq!(calibration("some-threads", true), calibration("good", true));
+}
+
 #[test]
 fn what_a_plugin_prints_is_not_what_the_program_prints() {
     let (bare, kept) = (in_the_program("stdout"), isolated("stdout"));
@@ -275,6 +287,7 @@ fn every_attack_of_the_page_has_a_test() {
         "slow",
         "memory",
         "processes",
+        "threads",
         "signals",
         "read files",
         "write",

@@ -4,6 +4,8 @@ mod attacks;
 mod conformance;
 mod examples;
 mod header;
+mod json;
+mod messages;
 mod misbehaving;
 mod same_results;
 mod vendor;
@@ -46,7 +48,7 @@ pub fn c_library(folder: &Path, source: &str, name: &str, options: &[&str]) -> P
     let mut command = Command::new(std::env::var_os("CC").unwrap_or_else(|| "cc".into()));
     command.args(["-std=gnu11", "-Wall", "-Wextra", "-Werror", "-O2", "-shared", "-fPIC", "-I"]);
     command.arg(root().join("crates/abbe-plugin/include")).args(options).arg(root().join(source)).arg("-o").arg(&file);
-    let built = command.arg("-lm").output().expect("the C compiler runs");
+    let built = command.args(["-lm", "-pthread"]).output().expect("the C compiler runs");
     assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
     file
 }

@@ -11,7 +11,7 @@ use super::{c_library, cargo_library, lengths, limits, three_axes};
 use crate::support::{Variant, fit, recipes, temporary, values, write};
 
 /// The built-in plugins, and those of a library under `vendor-<name>`.
-fn with_renamed(mut library: Library) -> Registry {
+pub(super) fn with_renamed(mut library: Library) -> Registry {
     let mut registry = Registry::built_in().expect("the built-in plugins");
     for plugin in &mut library.plugins {
         plugin.name = format!("vendor-{}", plugin.name).into();
@@ -21,7 +21,7 @@ fn with_renamed(mut library: Library) -> Registry {
 }
 
 /// A recipe with every stage done by `vendor-<plugin>`.
-fn by_vendor(recipe: &Variant) -> Variant {
+pub(super) fn by_vendor(recipe: &Variant) -> Variant {
     let mut recipe = recipe.clone();
     for stage in recipe.0["stages"].as_object_mut().expect("stages").values_mut() {
         for kind in ["ingest", "artefact", "model", "estimate", "validate", "export"] {
@@ -68,7 +68,7 @@ fn same(expected: &Outcome, found: &Outcome) {
 }
 
 /// All six kinds: every validator and exporter of the recipe on its second fit.
-fn six_kinds() -> Variant {
+pub(super) fn six_kinds() -> Variant {
     let recipe = Variant::tango("exact");
     let stages = recipe.0["stages"].as_object().expect("stages").iter();
     let of_fits = stages.filter(|(_, stage)| ["validate", "export"].iter().any(|kind| stage.get(kind).is_some()));

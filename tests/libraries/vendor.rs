@@ -3,18 +3,25 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::{Mutex, PoisonError};
+
+use abbe_core::Calibration;
+use serde_json::json;
 
 use super::target;
 use crate::support::{Printed, Small, files_in, read, root, temporary, write};
 
-/// What is written in the page for vendors: manifest and source.
-fn page() -> (String, String) {
+/// The blocks of a language in the page for vendors.
+fn blocks(language: &str) -> Vec<String> {
     let page = read(&root().join("docs/vendor-plugins.md"));
-    let block = |language: &str| {
-        let start = page.split(&format!("```{language}\n")).nth(1).expect("the page has such a block");
-        start.split("```").next().expect("the block ends").to_owned()
-    };
-    (block("toml"), block("rust"))
+    let start = format!("```{language}\n");
+    let blocks = page.split(start.as_str()).skip(1);
+    blocks.map(|block| block.split("```").next().expect("the block ends").to_owned()).collect()
+}
+
+/// What is written first in the page for vendors: manifest and source.
+fn page() -> (String, String) {
+    (blocks("toml").remove(0), blocks("rust").remove(0))
 }
 
 /// The profile that the tests are built with: with it the crates of the registry need no second build.
@@ -27,6 +34,9 @@ fn profile() -> String {
 
 /// Builds the crate of the page as a vendor does, with these options of the compiler for it alone.
 fn from_the_page(folder: &Path, source: &str, options: &[&str]) -> PathBuf {
+    // All of them are built to one file, and copied from there.
+    static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let sdk = root().join("crates/abbe-plugin");
     let manifest = page().0.replace("../abbe/crates/abbe-plugin", &sdk.to_string_lossy());
     let package = "[package]\nname = \"vendor-list\"\nversion = \"1.2.3\"\nedition = \"2024\"\n\n";
@@ -104,4 +114,51 @@ fn what_the_page_for_vendors_says_works() {
     let (printed, text) = run(&small, &from_the_page(vendor.path(), &panics, &other), &["--isolate-plugins"]);
     assert_eq!(printed.status, 1, "{text}");
     assert!(text.contains("the plugin `vendor-list` of") && text.contains("ended by signal 6 (SIGABRT)"), "{text}");
+}
+
+/// Touches of known points on a machine whose errors decay: the errors are found, and the kit finds nothing wrong.
+#[test]
+fn the_artefact_and_the_errors_of_the_page_find_what_was_put_in() {
+    let vendor = temporary();
+    let sources = blocks("rust");
+    let libraries = [1, 2].map(|block| from_the_page(vendor.path(), &sources[block], &[]));
+    let (length, truth) = (80.0, [("EXX[decay]", 0.012), ("EYX[decay]", -0.02), ("EZX[decay]", 0.005)]);
+    let mut points = serde_json::Map::new();
+    let mut touches = "feature,X_mm,Y_mm,Z_mm\n".to_owned();
+    for number in 0..8 {
+        let point = [0, 1, 2].map(|axis| if number >> axis & 1 == 0 { 10.0 } else { 150.0 });
+        // Where X stands when its tip is on the point.
+        let x = (0..20).fold(point[0], |x: f64, _| point[0] - truth[0].1 * (-x / length).exp());
+        let [y, z] = [1, 2].map(|axis| point[axis] - truth[axis].1 * (-x / length).exp());
+        touches.push_str(&format!("{number},{x},{y},{z}\n"));
+        points.insert(number.to_string(), json!(point));
+    }
+    let recipe = json!({ "abbe": 1, "stages": {
+        "touches": { "ingest": "csv", "path": "touches.csv" },
+        "points": { "artefact": "vendor-points", "from": "touches", "points_mm": points, "standard_uncertainty_um": 1 },
+        "machine": { "model": "vendor-mill", "decay_mm": length },
+        "fit": { "estimate": "gauss-newton", "machine": "machine", "observations": ["points"], "parameters": ["E*"],
+                 "trust_uncertainties": true },
+        "written": { "export": "error-table", "of": "fit", "step_mm": 50, "ranges": { "X": { "from_mm": 0, "to_mm": 200 }, "Y": { "from_mm": 0, "to_mm": 200 }, "Z": { "from_mm": 0, "to_mm": 200 } } },
+    } });
+    write(&vendor.path().join("touches.csv"), &touches);
+    let files = libraries.each_ref().map(|file| file.to_string_lossy().into_owned());
+    let named = |recipe: &serde_json::Value| {
+        let mut recipe = recipe.clone();
+        recipe["plugins"] = json!(files.each_ref().map(|file| json!({ "path": file })));
+        recipe
+    };
+    write(&vendor.path().join("recipe.yaml"), &named(&recipe).to_string());
+    let printed = crate::support::abbe(vendor.path(), &["run", "recipe.yaml"]);
+    assert_eq!(printed.status, 0, "{}{}", printed.stdout, printed.stderr);
+    let calibration = Calibration::from_json(&read(&vendor.path().join("out/recipe/fit.calibration.json")));
+    let calibration = calibration.expect("a calibration");
+    for (name, truth) in truth {
+        let found = calibration.get(name).expect("it is estimated").value;
+        assert!((found - truth).abs() < 1e-9, "{name}: {found} and {truth}");
+    }
+    for file in &files {
+        let printed = crate::support::abbe(vendor.path(), &["plugin", "check", file, "--recipe", "recipe.yaml"]);
+        assert_eq!(printed.status, 0, "{}{}", printed.stdout, printed.stderr);
+    }
 }

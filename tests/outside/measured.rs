@@ -30,9 +30,10 @@ use crate::support::{Variant, abbe, json_file, read, skipped, temporary, write};
 /// Longest run of the control: some ten times what it needs, since it runs in real time, and slower where others use the processor.
 const LONGEST: Duration = Duration::from_secs(600);
 
-/// What LinuxCNC stops with where its task gets no time between the end of a probing move and its status: seen where others use the
-/// processor, never on a machine that does nothing else. The program is run again then, at most so many times.
-const STARVED: &str = "Queue is not empty after probing";
+/// What a program stops with where LinuxCNC's task gets no time between the end of a probing move and its status: seen where others use the
+/// processor (latency excursions of 60 ms), never on a machine that does nothing else. The flag of the last touch is read once more then, or
+/// the queue is not empty. The program is run again, at most so many times: a way that is not free is not free the next time either.
+const STARVED: [&str; 2] = ["Queue is not empty after probing", "the probe met something on its way"];
 const REPEATED: usize = 3;
 
 /// Standard deviation of a contact (mm), and time from the contact to the signal (s).
@@ -328,9 +329,11 @@ impl World {
         let again = [LOG, "failed.txt", "pins.json"].map(|name| folder.join(name));
         let mut why = failure(&folder, LONGEST);
         for _ in 0..REPEATED {
-            if !why.as_ref().is_some_and(|why| why.contains(STARVED)) {
+            let is_starved = |why: &String| STARVED.iter().any(|starved| why.contains(starved));
+            if !why.as_ref().is_some_and(is_starved) {
                 break;
             }
+            println!("{} {name}: once more after {why:?}", self.case.name);
             again.iter().filter(|file| file.exists()).for_each(|file| std::fs::remove_file(file).expect("a file"));
             why = failure(&folder, LONGEST);
         }

@@ -29,7 +29,7 @@ const CRATES: [Border; 29] = [
     border("abbe-kinematics", &["abbe-core"]),
     border("abbe-standards", &["abbe-geometry", "abbe-results"]),
     border("abbe-table", &["abbe-core", "abbe-files"]),
-    border("abbe-assembly", &["abbe-core", "abbe-files", "abbe-table"]),
+    border("abbe-assembly", &["abbe-core", "abbe-estimation", "abbe-files", "abbe-table"]),
     border("abbe-thermal", &["abbe-core", "abbe-numerics"]),
     border("abbe-probe", &["abbe-core", "abbe-table"]),
     Border {

@@ -13,7 +13,8 @@
 //!   checks of debug builds.
 //! - `cargo xtask header`: write the C header of the plugin interface.
 //! - `cargo xtask linuxcnc [--create-user]`: run the files for LinuxCNC on LinuxCNC itself, in simulation; it needs a user of its own.
-//! - `cargo xtask schema`: write what follows from the plugins: the schema of recipes and the pages in `docs/plugins`.
+//! - `cargo xtask schema`: write what follows from the plugins: the schema of recipes, the pages in `docs/plugins`, and the schemas of what
+//!   crosses the border of plugins, in `docs/schemas/plugin`.
 
 mod borders;
 mod gate;
@@ -147,5 +148,21 @@ fn schema() -> Outcome {
     }
     let file = root().join("docs/schemas/recipe.schema.json");
     fs::write(&file, output.stdout).map_err(|error| format!("{}: {error}", file.display()))?;
-    run(cargo(&["run", "--quiet", "--release", "--bin", "abbe", "--", "plugins", "--pages", "docs/plugins"]))
+    run(cargo(&["run", "--quiet", "--release", "--bin", "abbe", "--", "plugins", "--pages", "docs/plugins"]))?;
+    messages()
+}
+
+/// Writes the schemas of what crosses the border of plugins, a file for each message.
+fn messages() -> Outcome {
+    let output = cargo(&["run", "--quiet", "--release", "--bin", "abbe", "--", "plugin", "messages"])
+        .output()
+        .map_err(|error| format!("abbe cannot be run: {error}"))?;
+    let schemas: BTreeMap<String, Value> =
+        serde_json::from_slice(&output.stdout).map_err(|error| format!("`abbe plugin messages`: {error}"))?;
+    for (name, schema) in schemas {
+        let file = root().join(format!("docs/schemas/plugin/{name}.schema.json"));
+        let text = serde_json::to_string_pretty(&schema).map_err(|error| error.to_string())?;
+        fs::write(&file, text + "\n").map_err(|error| format!("{}: {error}", file.display()))?;
+    }
+    Ok(())
 }

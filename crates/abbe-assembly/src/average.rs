@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{Column, DataRow, Dataset, Error, PathItem, Quantity, Result, Values};
+use abbe_estimation::repeated_in_words;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -36,7 +37,7 @@ impl Average {
         };
         let series = labels("over", &self.over)?;
         let by = self.by.iter().map(|name| labels("by", name)).collect::<Result<Vec<_>>>()?;
-        if let Some(words) = data.repeated_in_words(data.row_indices()) {
+        if let Some(words) = repeated_in_words(data, data.row_indices()) {
             tracing::warn!("{words}; each counts in the means as a measurement of its own");
         }
         let mut times: BTreeMap<(Vec<&str>, &str), usize> = BTreeMap::new();
@@ -157,8 +158,8 @@ mod tests {
             found.into_iter().map(|(name, off)| (name.to_owned(), off)).collect::<Vec<_>>()
         };
         assert_eq!(found(0.0), []);
-        assert_eq!(found(0.01), []);
-        for offset in [0.1, -5.0, 20.0] {
+        assert_eq!(found(0.015), []);
+        for offset in [0.025, -0.1, -5.0, 20.0] {
             let found = found(offset);
             assert!(found.len() == 1 && found[0].0 == "c" && (found[0].1 - offset).abs() < 5e-3, "{found:?}");
         }

@@ -1,9 +1,8 @@
 //! Data sets: named columns, one row a measurement.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::index::{DataRow, IndexRange};
@@ -12,7 +11,7 @@ use abbe_settings::serial::numbers;
 use abbe_settings::{Error, Result, nearest};
 
 /// The name of a column, as found in a file's header.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ColumnHeader {
     /// Name without its unit: `X` of `X_mm`.
     pub name: String,
@@ -31,17 +30,21 @@ impl ColumnHeader {
 }
 
 /// The cells of a column.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Values {
     /// Numbers in the unit used in memory.
-    Numbers(#[serde(deserialize_with = "numbers")] Vec<f64>),
+    Numbers(
+        #[serde(deserialize_with = "numbers")]
+        #[schemars(with = "Vec<Option<f64>>")]
+        Vec<f64>,
+    ),
     /// Identifiers.
     Labels(Vec<String>),
 }
 
 /// A column: header and cells.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Column {
     /// Name and unit.
     pub header: ColumnHeader,
@@ -50,7 +53,7 @@ pub struct Column {
 }
 
 /// Where a row was read, so that messages and results can point at it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct RowOrigin {
     /// Index into [`Dataset::files`].
     pub file: usize,
@@ -95,7 +98,7 @@ impl RowOrigin {
 }
 
 /// Measurements as they come from ingest: named columns with units, one row a measurement.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct Dataset {
     /// The columns, all of the same length.
     pub columns: Vec<Column>,
@@ -114,7 +117,7 @@ pub struct Dataset {
 }
 
 /// The stylus tip with which the header of a file says that it was measured.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct StatedTip {
     /// Diameter, mm.
     pub diameter: f64,
@@ -133,74 +136,6 @@ impl Dataset {
     /// The indices of all rows.
     pub fn row_indices(&self) -> IndexRange<DataRow> {
         DataRow::first(self.rows())
-    }
-
-    /// Rows that are the same in every column as an earlier one, each with that one. Labels that count the rows are not compared: a
-    /// copy of a row has another one.
-    pub fn repeated_rows(&self, rows: impl IntoIterator<Item = DataRow>) -> Vec<(DataRow, DataRow)> {
-        self.same_in(rows, |_| true)
-    }
-
-    /// Number of rows that follow each other, at least so many in turn, as earlier rows of the same content do; with the first of them
-    /// behind its earlier one. Times and labels of repetitions (`day`, `cycle`) may differ; all labels may with `any_labels`.
-    pub fn copied_rows(
-        &self,
-        rows: impl IntoIterator<Item = DataRow>,
-        in_turn: usize,
-        any_labels: bool,
-    ) -> Option<(usize, [DataRow; 2])> {
-        let is_of_the_content = |column: &Column| match &column.values {
-            Values::Numbers(_) => column.header.quantity != Quantity::Time,
-            Values::Labels(_) => !any_labels && !["day", "cycle"].contains(&column.header.name.as_str()),
-        };
-        let same = self.same_in(rows, is_of_the_content);
-        let (mut count, mut first) = (0, None);
-        let follows =
-            |pair: &(DataRow, DataRow), next: &(DataRow, DataRow)| next.0.0 == pair.0.0 + 1 && next.1.0 == pair.1.0 + 1;
-        for run in same.chunk_by(follows).filter(|run| run.len() >= in_turn) {
-            count += run.len();
-            first = first.or(Some([run[0].0, run[0].1]));
-        }
-        first.map(|first| (count, first))
-    }
-
-    /// Rows that are the same as an earlier one in these columns, each with the last one of these.
-    fn same_in(
-        &self,
-        rows: impl IntoIterator<Item = DataRow>,
-        is_compared: impl Fn(&Column) -> bool,
-    ) -> Vec<(DataRow, DataRow)> {
-        let compared = self.columns.iter().filter(|column| !counts_rows(column) && is_compared(column));
-        let compared: Vec<&Column> = compared.collect();
-        let cells = |row: DataRow| compared.iter().map(move |column| Cell::of(column, row));
-        let digest = |row: DataRow| {
-            let mut hasher = DefaultHasher::new();
-            cells(row).for_each(|cell| cell.hash(&mut hasher));
-            hasher.finish()
-        };
-        // Rows are kept by a digest, which is small; whether they are the same is seen cell by cell.
-        let mut seen: BTreeMap<u64, DataRow> = BTreeMap::new();
-        let mut repeated = Vec::new();
-        for row in rows {
-            if let Some(earlier) = seen.insert(digest(row), row).filter(|earlier| cells(*earlier).eq(cells(row))) {
-                repeated.push((earlier, row));
-            }
-        }
-        repeated
-    }
-
-    /// The [repeated rows](Self::repeated_rows) in words, with the lines of the first.
-    pub fn repeated_in_words(&self, rows: impl IntoIterator<Item = DataRow>) -> Option<String> {
-        let repeated = self.repeated_rows(rows);
-        let &(one, other) = repeated.first()?;
-        let rows = if repeated.len() == 1 { "1 row is".to_owned() } else { format!("{} rows are", repeated.len()) };
-        let place = |row: DataRow| self.origins[row];
-        let file = self.files.get(place(other).file).filter(|_| self.files.len() > 1);
-        Some(format!(
-            "{rows} in the data twice, the same in every column (the first: {}{})",
-            RowOrigin::both_in_words([place(one), place(other)]),
-            file.map_or(String::new(), |file| format!(" of `{}`", file.display()))
-        ))
     }
 
     /// A data set of some of its rows.
@@ -302,28 +237,4 @@ fn has_unit_of_its_own(header: &str, name: &str) -> bool {
 
 fn list(headers: &[ColumnHeader]) -> String {
     headers.iter().map(|header| format!("`{}`", header.header)).collect::<Vec<_>>().join(", ")
-}
-
-/// Whether a column of labels counts the rows: a copy has another one.
-fn counts_rows(column: &Column) -> bool {
-    match &column.values {
-        Values::Labels(labels) => labels.iter().collect::<BTreeSet<_>>().len() == labels.len(),
-        Values::Numbers(_) => false,
-    }
-}
-
-/// A cell, to be compared with others.
-#[derive(PartialEq, Eq, Hash)]
-enum Cell<'a> {
-    Number(u64),
-    Label(&'a str),
-}
-
-impl<'a> Cell<'a> {
-    fn of(column: &'a Column, row: DataRow) -> Self {
-        match &column.values {
-            Values::Numbers(numbers) => Self::Number(numbers[row].to_bits()),
-            Values::Labels(labels) => Self::Label(&labels[row]),
-        }
-    }
 }

@@ -6,6 +6,7 @@ use std::ops::{Add, AddAssign, Index, IndexMut, Range};
 
 use abbe_settings::Quantity;
 use nalgebra::Vector3;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::RowOrigin;
@@ -60,7 +61,7 @@ pub trait TypedIndex: Copy {
 macro_rules! index {
     ($(#[$doc:meta])* $name:ident: $($item:ty),*) => {
         $(#[$doc])*
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize, JsonSchema)]
         #[serde(transparent)]
         pub struct $name(pub usize);
 

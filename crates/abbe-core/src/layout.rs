@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::Dataset;
@@ -11,7 +12,7 @@ use crate::pose_table::{ColumnNaming, PoseTable, StatusSource, pose_columns};
 use abbe_settings::{Quantity, Result};
 
 /// One measurement: its poses, its equations, and the data row that it comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Row {
     /// First of its poses in [`Layout::poses`].
     pub first_pose: PoseIndex,
@@ -38,7 +39,7 @@ impl Row {
 }
 
 /// The rows of some observations: the part that has the same form for all artefacts.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 pub struct Layout {
     /// The data set. It is not serialised with the layout; it has to be stored separately.
     #[serde(skip)]
@@ -52,6 +53,7 @@ pub struct Layout {
     /// Further rows of the data set that were combined into rows of this layout, beside the `data_row` of each: the touches
     /// of a centre.
     pub merged: Vec<DataRow>,
+    /// For each pose of a row, where each column of the status comes from.
     sources: Vec<Vec<StatusSource>>,
 }
 

@@ -7,6 +7,7 @@
 use std::any::Any;
 use std::f64::consts::TAU;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -17,7 +18,7 @@ use abbe_settings::Result;
 use abbe_settings::serial::number;
 
 /// Linear or rotary.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum AxisKind {
     /// Commands in mm.
@@ -27,7 +28,7 @@ pub enum AxisKind {
 }
 
 /// The side of the bed on which an axis sits.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Branch {
     /// Between bed and tool.
@@ -37,7 +38,7 @@ pub enum Branch {
 }
 
 /// An axis of the machine.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Axis {
     /// Name, as in the columns of data files.
     pub name: String,
@@ -77,7 +78,7 @@ impl Axis {
 }
 
 /// What happens when the data have no column for a value of the status.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Absent {
     /// It is an error.
@@ -85,11 +86,15 @@ pub enum Absent {
     Required,
     /// It has this value in every row. NaN means that the value is unknown; errors that depend on it then have no effect.
     #[serde(rename = "taken")]
-    Default(#[serde(deserialize_with = "number")] f64),
+    Default(
+        #[serde(deserialize_with = "number")]
+        #[schemars(with = "Option<f64>")]
+        f64,
+    ),
 }
 
 /// What the values in a column of the status are.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum StatusRole {
     /// The command of an axis, by its index among [`ModelInfo::axes`].
@@ -142,7 +147,7 @@ const TIME: &str = "time";
 const STYLUS: &str = "stylus";
 
 /// One column of the status of poses: a value that the model needs of every pose, and the data column that it is read from.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct StatusColumn {
     /// Name without unit: `X`, `dir_X`, `time`, `day`, `stylus`.
     pub name: String,
@@ -250,7 +255,7 @@ pub fn machine_values(model: &dyn KinematicModel, calibration: &Calibration) -> 
 }
 
 /// A motion error of an axis that can be evaluated by itself, to sample it or to compensate it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ErrorFunction {
     /// ISO 230-1 symbol, e.g. `EYX`.
     pub symbol: String,
@@ -263,7 +268,7 @@ pub struct ErrorFunction {
 }
 
 /// A part of a motion error that repeats along its axis.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct PeriodicError {
     /// ISO 230-1 symbol of the error, e.g. `EXX`.
     pub symbol: String,
@@ -279,7 +284,7 @@ pub struct PeriodicError {
 }
 
 /// The value of a motion error at a status, and how it depends on parameters.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MotionError {
     /// Its value, mm or rad.
     pub value: f64,
@@ -288,7 +293,7 @@ pub struct MotionError {
 }
 
 /// Description of a kinematic model: everything that is known without evaluating a pose.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ModelInfo {
     /// The axes, in the order of the structural loop.
     pub axes: Vec<Axis>,

@@ -3,6 +3,7 @@
 use std::any::Any;
 use std::collections::{BTreeMap, BTreeSet};
 
+use schemars::JsonSchema;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -15,7 +16,7 @@ use abbe_settings::Result;
 use abbe_settings::{Quantity, Unit};
 
 /// A named quantity that is not estimated. All rows that use it share its error.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct KnownInput {
     /// Own name, e.g. `length`.
     pub parameter: Parameter,
@@ -76,7 +77,7 @@ impl KnownInput {
 }
 
 /// How the equations of a row come to hold in a real measurement: axes move, or a reading takes up the difference.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Contact {
     /// The linear axes of all its poses move, by as little as possible, until the probe triggers.
@@ -101,7 +102,7 @@ pub enum Contact {
 ///
 /// In a real measurement the axes do not move in this way. It is computed to judge rank and condition without the part of the
 /// reading that comes from errors.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct NominalReading {
     /// Residual of each of its equations at the nominal reading, mm or rad: nominal reading minus recorded reading.
     pub residuals: Vec<f64>,
@@ -111,7 +112,7 @@ pub struct NominalReading {
 }
 
 /// Whether the equations depend on the orientation of the tool, and on which.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Orientation {
     /// The equations do not depend on it.
@@ -126,7 +127,7 @@ pub enum Orientation {
 }
 
 /// Where rank and condition of the rows are judged.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum RankPoint {
     /// At the recorded poses, which give the same information as nominal contact. Example: a known length holds between any
@@ -136,7 +137,11 @@ pub enum RankPoint {
     /// In nominal contact ([`Observations::contact_tip`]).
     InContact,
     /// At nominal readings, by the index of the row; rows without one are judged as recorded.
-    NominalReading(#[serde(deserialize_with = "by_row")] BTreeMap<RowIndex, NominalReading>),
+    NominalReading(
+        #[serde(deserialize_with = "by_row")]
+        #[schemars(with = "BTreeMap<String, NominalReading>")]
+        BTreeMap<RowIndex, NominalReading>,
+    ),
 }
 
 impl RankPoint {
@@ -168,7 +173,7 @@ fn by_row<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<RowInde
 }
 
 /// Approach of a row by one linear axis.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Approach {
     /// Index of the linear axis that moves until contact; the others stay where they are.
     pub axis: usize,
@@ -177,7 +182,7 @@ pub struct Approach {
 }
 
 /// A feature of an artefact in the table frame: nominal position and the unknowns that shift it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Feature {
     /// Its label.
     pub label: String,
@@ -188,7 +193,7 @@ pub struct Feature {
 }
 
 /// Where the tip is sent to measure a feature.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Target {
     /// Label of the feature.
     pub feature: String,
@@ -308,7 +313,7 @@ impl Equations {
 /// }
 /// # }
 /// ```
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 pub struct ObservationsInfo {
     /// The data set, the rows with their poses and equations, and the standard uncertainty of each equation.
     pub layout: Layout,

@@ -1,11 +1,12 @@
 //! Parameters of models and unknowns of artefacts: their names, their units, and what they are.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use abbe_settings::Unit;
 
 /// What a parameter or an unknown is.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ParameterRole {
     /// A coefficient of an error motion of an axis (ISO 230-1: `EXX`).
@@ -45,7 +46,7 @@ pub enum ParameterRole {
 }
 
 /// A term of the effective stylus radius: what a coefficient of it multiplies.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ProbeTerm {
     /// One: the same in all directions.
@@ -69,7 +70,7 @@ pub enum ProbeTerm {
 }
 
 /// A parameter or an unknown: name, unit, and what it is.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Parameter {
     /// Name as in the conventions, e.g. `EXX[1]`.
     pub name: String,

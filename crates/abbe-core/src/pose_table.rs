@@ -3,6 +3,7 @@
 use std::ops::Range;
 use std::path::PathBuf;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{ColumnHeader, Dataset, Values, missing_column};
@@ -13,10 +14,13 @@ use abbe_settings::serial::{number, numbers};
 use abbe_settings::{Error, Result};
 
 /// Statuses of poses, row by row, in the column order of the model that they were gathered for.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct PoseTable {
+    /// Number of columns of the status.
     width: usize,
+    /// Pose by pose; `null` is a value that is not known.
     #[serde(deserialize_with = "numbers")]
+    #[schemars(with = "Vec<Option<f64>>")]
     values: Vec<f64>,
 }
 
@@ -30,13 +34,17 @@ pub fn plain_naming(status: &StatusColumn, _: Option<&Axis>) -> (Vec<String>, Ab
 }
 
 /// Source of the values of a status: a column, or the value of [`Absent::Default`] if there is no column.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum StatusSource {
     /// Name of the column, without unit.
     Column(String),
     /// The value taken for every row.
-    Taken(#[serde(deserialize_with = "number")] f64),
+    Taken(
+        #[serde(deserialize_with = "number")]
+        #[schemars(with = "Option<f64>")]
+        f64,
+    ),
 }
 
 /// Finds the column of every status of the model among `headers`.

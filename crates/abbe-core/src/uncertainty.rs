@@ -1,6 +1,7 @@
 //! Uncertainty of the equations of some observations: standard uncertainties and covariances.
 
 use nalgebra::DMatrix;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::index::{EquationIndex, LayoutEquation};
@@ -8,12 +9,13 @@ use abbe_settings::{Error, Result};
 
 /// Covariance of some equations with one another, which are those of a layout ([`LayoutEquation`]) or of a problem
 /// ([`EquationIndex`]).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CovarianceBlock<E> {
     /// Indices of the equations, ascending.
     pub equations: Vec<E>,
     /// Their covariance, mm² (rad²), positive definite.
     #[serde(with = "matrix")]
+    #[schemars(with = "Vec<Vec<f64>>")]
     pub covariance: DMatrix<f64>,
 }
 
@@ -87,7 +89,7 @@ impl<E: Copy + Ord> CovarianceBlock<E> {
 ///
 /// The covariance of the equations is the sum of the outer products of the deviations, divided by the degrees of freedom. It
 /// is of low rank (there are more rows than repeats). So it is propagated to the estimates, but gives no weights.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct PooledRepeatability {
     /// The column whose groups are pooled.
     pub by: String,
@@ -100,7 +102,7 @@ pub struct PooledRepeatability {
 }
 
 /// Uncertainty of the equations of some observations, in the order of their layout.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct EquationUncertainty {
     /// Standard uncertainty of every equation, mm (rad).
     pub standard: Vec<f64>,

@@ -33,7 +33,9 @@ mod travel;
 mod understood;
 mod units;
 
-pub use abbe_estimation::{Contradicted, LocationError, LocationErrors, Standing, contradicted, copied_runs};
+pub use abbe_estimation::{
+    Contradicted, LocationError, LocationErrors, Standing, contradicted, copied_runs, repeated_in_words,
+};
 pub use abbe_measuring::Control;
 pub use abbe_planning::{LargestOfInput, Order, Plan, PlanFigures, Reached, Revisit};
 pub use check::Planned;

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use abbe_core::{Kind, Problem};
-use abbe_estimation::repeated;
+use abbe_estimation::{repeated, repeated_in_words};
 
 use crate::prediction::Predicted;
 use crate::prepare::Prepared;
@@ -32,7 +32,7 @@ impl Prepared {
         };
         let mut found: BTreeMap<&str, String> = BTreeMap::new();
         for name in self.stages(Kind::Validate).flat_map(|stage| stage.reference("from")) {
-            let words = data[name].repeated_in_words(data[name].row_indices());
+            let words = repeated_in_words(&data[name], data[name].row_indices());
             if let Some(words) = words.filter(|_| !estimated(&data[name].files)) {
                 found.insert(name, format!("{name}: {words}; each counts as a measurement of its own"));
             }

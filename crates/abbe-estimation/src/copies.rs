@@ -6,13 +6,15 @@ use abbe_core::{
     Column, ColumnHeader, Contact, DataRow, Dataset, ObservationSet, Problem, Quantity, RowOrigin, SetIndex, Values,
 };
 
+use crate::repeated_rows::{copied_rows, repeated_in_words};
+
 /// Rows of a data set that are the same in every cell, but for a label that counts them: a file that was read twice, or a row that was
 /// copied.
 pub fn repeated(problem: &Problem) -> Vec<String> {
     let mut remarks = Vec::new();
     for set in &problem.sets {
         let data = &set.info().layout.data;
-        let repeated = data.repeated_in_words(rows_of(set));
+        let repeated = repeated_in_words(data, rows_of(set));
         remarks.extend(repeated.map(|words| format!("{}: {words}; each counts as a measurement of its own", set.name)));
     }
     remarks
@@ -32,7 +34,7 @@ const IN_TURN: usize = 10;
 fn copied(problem: &Problem) -> Vec<String> {
     let of_set = |set: &ObservationSet| {
         let data = &set.info().layout.data;
-        let (count, first) = data.copied_rows(rows_of(set), IN_TURN, false)?;
+        let (count, first) = copied_rows(data, rows_of(set), IN_TURN, false)?;
         let places = RowOrigin::both_in_words(first.map(|row| data.origins[row]));
         Some(format!(
             "{}: {count} rows are those of earlier ones to the last digit, but for times and labels (the first: {places}): are \
@@ -74,9 +76,9 @@ fn least_uncertainties(problem: &Problem) -> BTreeMap<SetIndex, f64> {
 /// Copies within one set.
 fn copied_within(set: &ObservationSet, uncertainty: f64) -> Option<String> {
     let data = &set.info().layout.data;
-    let (count, first) = data.copied_rows(fine_rows(set, uncertainty)?, IN_TURN, true)?;
+    let (count, first) = copied_rows(data, fine_rows(set, uncertainty)?, IN_TURN, true)?;
     // Told already.
-    if data.copied_rows(rows_of(set), IN_TURN, false).is_some() {
+    if copied_rows(data, rows_of(set), IN_TURN, false).is_some() {
         return None;
     }
     let places = RowOrigin::both_in_words(first.map(|row| data.origins[row]));
@@ -120,7 +122,7 @@ fn file_of(data: &Dataset, row: DataRow) -> String {
     data.files.get(data.origins[row].file).map_or(String::new(), |file| file.display().to_string())
 }
 
-/// Rows that follow each other in both data sets with the same numbers, as [`Dataset::copied_rows`].
+/// Rows that follow each other in both data sets with the same numbers, as [`copied_rows`].
 fn copied_between(
     (first, earlier): (&Dataset, Vec<DataRow>),
     (second, rows): (&Dataset, &[DataRow]),
@@ -147,7 +149,7 @@ fn copied_between(
     let origins = first.origins.iter().chain(&second.origins).copied().collect();
     let both = Dataset { columns: one.into_iter().map(column).collect(), origins, ..Dataset::default() };
     let later = rows.iter().map(|row| DataRow(row.0 + count));
-    let (found, [early, late]) = both.copied_rows(earlier.into_iter().chain(later), IN_TURN, true)?;
+    let (found, [early, late]) = copied_rows(&both, earlier.into_iter().chain(later), IN_TURN, true)?;
     Some((found, [early, DataRow(late.0 - count)]))
 }
 

@@ -177,7 +177,7 @@ fn failed(path: &Path, error: &rusqlite::Error) -> Error {
             "nothing was added: this user may not write the file, or not make files beside it in its folder",
         ),
         Some(CannotOpen) => told(
-            "opened",
+            &format!("opened: {error}"),
             "its folder has to exist, and this user has to have the right to read and write the file and to make files beside it",
         ),
         Some(SystemIoFailure) => told(

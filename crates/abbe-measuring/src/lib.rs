@@ -5,6 +5,7 @@
 //! control. What the programs log is described in `docs/measuring-log.md`.
 
 mod controls;
+pub mod language;
 mod path;
 mod programme;
 mod settings;

@@ -19,6 +19,7 @@ use serde_json::{Value, json};
 
 use crate::loader::{Library, hashed, load_sealed, open_library};
 use crate::sandbox::{Allowance, confine};
+use crate::threads::too_many;
 
 /// A test: its name, what it asks for, and how.
 struct Test {
@@ -230,6 +231,7 @@ fn apart(program: &Path, arguments: &[&OsStr], limit: Duration, limits: Limits) 
     let (out, err) = (child.stdout.take(), child.stderr.take());
     let (out, err) = (Said::by(out, KEPT), Said::by(err, KEPT));
     let started = Instant::now();
+    let mut findings = Findings::default();
     let status = loop {
         match child.try_wait().map_err(failed)? {
             Some(status) => break Some(status),
@@ -238,10 +240,17 @@ fn apart(program: &Path, arguments: &[&OsStr], limit: Duration, limits: Limits) 
                 child.wait().map_err(failed)?;
                 break None;
             }
-            None => std::thread::sleep(Duration::from_millis(5)),
+            None => match too_many(child.id()) {
+                Some(wrong) => {
+                    child.kill().map_err(failed)?;
+                    child.wait().map_err(failed)?;
+                    findings.wrong(format!("{wrong}; its process was ended"));
+                    return Ok(findings);
+                }
+                None => std::thread::sleep(Duration::from_millis(5)),
+            },
         }
     };
-    let mut findings = Findings::default();
     let Some(status) = status else {
         findings.wrong(match limit < limits.of_test {
             true => limits.total_is_over(),

@@ -6,6 +6,7 @@
 mod child;
 mod time;
 pub(crate) mod trials;
+mod watch;
 mod wire;
 
 use std::any::Any;
@@ -61,13 +62,13 @@ pub(crate) struct Connection {
     /// Objects of the other side that are released with the next question.
     released: Mutex<Vec<u64>>,
     /// The other process; none in the process that was started for a plugin.
-    child: Option<Mutex<Child>>,
+    child: Option<Arc<Mutex<Child>>>,
     /// Passes on what the other process says on its standard error.
     words: Option<JoinHandle<()>>,
     who: String,
     time: Time,
     /// Why the other side is lost. Who asks after that is told the same.
-    lost: OnceLock<Failure>,
+    lost: Arc<OnceLock<Failure>>,
 }
 
 /// Our objects for the other side, by number.
@@ -111,7 +112,12 @@ impl Connection {
         match answer {
             Ok((Frame::Failed(failure), _)) => Err(failure),
             Ok(answer) => Ok(answer),
-            Err(error) => Err(self.lost.get_or_init(|| self.reason(&error)).clone()),
+            // The reason is not looked for while others wait to state theirs: who watches the process may have ended it.
+            Err(error) => {
+                let known = self.lost.get().cloned();
+                let reason = known.unwrap_or_else(|| self.reason(&error));
+                Err(self.lost.get_or_init(|| reason).clone())
+            }
         }
     }
 
@@ -339,16 +345,18 @@ fn start(
         std::thread::Builder::new().name("plugin's words".to_owned()).spawn(|| pass_on(said)).map_err(failed)
     });
     let words = words.transpose()?;
+    let (child, lost) = (Arc::new(Mutex::new(child)), Arc::default());
+    watch::watch(&child, &lost, who).map_err(failed)?;
     Ok(Arc::new(Connection {
         wire: Mutex::new(Wire::new(ours)),
         holder: Mutex::new(None),
         objects: Mutex::default(),
         released: Mutex::default(),
-        child: Some(Mutex::new(child)),
+        child: Some(child),
         words,
         who: who.to_owned(),
         time: Time::limited(limits.answer_timeout, limits.total_time),
-        lost: OnceLock::new(),
+        lost,
     }))
 }
 

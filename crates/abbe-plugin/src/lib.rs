@@ -22,6 +22,8 @@ mod isolation;
 mod isolation;
 #[cfg(feature = "host")]
 mod loader;
+#[cfg(feature = "host")]
+pub mod messages;
 mod peer;
 mod proxy;
 #[cfg(feature = "host")]
@@ -30,6 +32,8 @@ mod sandbox;
 pub mod sdk;
 mod served;
 mod texts;
+#[cfg(feature = "host")]
+mod threads;
 #[cfg(all(feature = "host", unix))]
 #[doc(hidden)]
 pub mod trials;

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use abbe_core::{
     Class, Convergence, Equations, Error, PathItem, Place, Poses, RowBatch, SettingsError, Variable, from_json,
 };
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -54,29 +55,41 @@ pub(crate) struct Failure {
 }
 
 /// The text of [`ABBE_FAILED_WITH_DETAILS`].
-#[derive(Default, Deserialize)]
-struct Details {
+#[derive(Default, Deserialize, JsonSchema)]
+pub(crate) struct Details {
+    /// What is wrong, in one sentence.
     message: String,
+    /// What to do about it.
     #[serde(default)]
     help: Option<String>,
+    /// Whether the use is wrong or the data are.
     #[serde(default)]
     class: Option<Class>,
+    /// Where it stands in a file.
     #[serde(default)]
     place: Option<Place>,
+    /// The stage that it is about.
     #[serde(default)]
     stage: Option<String>,
+    /// The setting of a stage that it is about: keys and indices.
     #[serde(default)]
     setting: Vec<PathItem>,
+    /// The pose that failed, by its index among those that were asked for together.
     #[serde(default)]
     pose: Option<usize>,
+    /// Whether the code itself failed, so that other numbers would fail, too.
     #[serde(rename = "fault", default)]
     fatal: bool,
+    /// The time that the user allowed is over.
     #[serde(default)]
     out_of_time: bool,
+    /// State of an iteration that does not converge.
     #[serde(default)]
     convergence: Option<Box<Convergence>>,
+    /// Where the wrong setting is among the settings that were given: keys and indices.
     #[serde(default)]
     path: Vec<PathItem>,
+    /// Whether the name of that setting is wrong, and not its value.
     #[serde(default)]
     #[cfg_attr(not(feature = "host"), allow(dead_code, reason = "a vendor's side asks for no stages"))]
     key: bool,

@@ -46,7 +46,10 @@ fn ask_whole<Q: Serialize + ?Sized>(
 ) -> Result<Answer> {
     let text = serde_json::to_string(question)
         .map_err(|error| Error::data(format!("what {} is asked cannot be written: {error}", peer.who())).fatal())?;
-    peer.call(method, &text, objects).map_err(|failure| failure.error(peer.who()))
+    let answer = peer.call(method, &text, objects);
+    #[cfg(feature = "host")]
+    crate::messages::heard(peer.who(), method, &text, &answer);
+    answer.map_err(|failure| failure.error(peer.who()))
 }
 
 /// Refuses values that are not finite.

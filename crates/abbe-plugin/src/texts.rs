@@ -8,6 +8,7 @@ use abbe_core::{
     InputFile, Monitor, ObservationSet, Observations, ObservationsInfo, PoseTable, Prior, Problem, RowIndex, Tie,
     Unknown,
 };
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::peer::{Failure, Received};
@@ -15,7 +16,7 @@ use crate::proxy;
 use crate::served::Served;
 
 /// The description of observations.
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize, Deserialize, JsonSchema)]
 pub(crate) struct ObservationsText {
     #[serde(flatten)]
     pub info: ObservationsInfo,
@@ -33,7 +34,7 @@ impl ObservationsText {
 }
 
 /// A file that a stage reads.
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize, Deserialize, JsonSchema)]
 pub(crate) struct InputText {
     pub setting: String,
     pub path: PathBuf,
@@ -46,14 +47,14 @@ impl InputText {
 }
 
 /// Question of `check`.
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize, Deserialize, JsonSchema)]
 pub(crate) struct CheckText {
     pub headers: Vec<ColumnHeader>,
     pub file: Option<PathBuf>,
 }
 
 /// Question of `motion_error`.
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize, Deserialize, JsonSchema)]
 pub(crate) struct MotionText {
     pub function: ErrorFunction,
     pub values: Vec<f64>,
@@ -62,7 +63,7 @@ pub(crate) struct MotionText {
 }
 
 /// Question of `contact_tip`.
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize, Deserialize, JsonSchema)]
 pub(crate) struct TipText {
     pub row: RowIndex,
     pub tip: [f64; 3],
@@ -71,14 +72,14 @@ pub(crate) struct TipText {
 }
 
 /// Question of `judge`.
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize, Deserialize, JsonSchema)]
 pub(crate) struct JudgeText {
     pub fits: Vec<FitText>,
     pub data: Vec<Dataset>,
 }
 
 /// A written file: a text, or bytes if it is no text.
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize, Deserialize, JsonSchema)]
 pub(crate) struct FileText {
     name: String,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -103,7 +104,7 @@ impl From<FileText> for ExportedFile {
 }
 
 /// A problem; model and observations are objects.
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize, Deserialize, JsonSchema)]
 pub(crate) struct ProblemText {
     name: String,
     model: usize,
@@ -121,7 +122,7 @@ pub(crate) struct ProblemText {
     priors: Vec<Prior>,
 }
 
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize, Deserialize, JsonSchema)]
 struct SetText {
     name: String,
     observations: usize,
@@ -204,7 +205,7 @@ impl ProblemText {
 }
 
 /// A fit; its estimator is an object too.
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize, Deserialize, JsonSchema)]
 pub(crate) struct FitText {
     name: String,
     problem: ProblemText,

@@ -1,9 +1,10 @@
 //! Uncertainty budgets by the law of propagation of uncertainty, and results of the propagation of distributions.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Uncertainty budgets of the estimates, and coverage (GUM; JCGM 102).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct UncertaintyBudget {
     /// Probability that the intervals and regions cover.
     pub coverage_probability: f64,
@@ -18,7 +19,7 @@ pub struct UncertaintyBudget {
 }
 
 /// Coverage of several quantities together (JCGM 102:2011, 6.5).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct JointCoverage {
     /// Number of quantities: the estimated machine parameters.
     pub quantities: usize,
@@ -32,7 +33,7 @@ pub struct JointCoverage {
 }
 
 /// The uncertainty of one estimated parameter, in its unit.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ParameterBudget {
     /// Name.
     pub name: String,
@@ -53,7 +54,7 @@ pub struct ParameterBudget {
 }
 
 /// The part of a standard uncertainty that comes from one input.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Contribution {
     /// The input: an artefact stage (the scatter of its rows), a known input, an earlier estimate.
     pub input: String,
@@ -62,7 +63,7 @@ pub struct Contribution {
 }
 
 /// Two estimates with a large correlation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Correlated {
     /// One.
     pub one: String,
@@ -73,7 +74,7 @@ pub struct Correlated {
 }
 
 /// Results of a Monte Carlo calculation (JCGM 101; JCGM 102).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MonteCarlo {
     /// Number of trials.
     pub trials: usize,
@@ -104,7 +105,7 @@ pub struct Samples {
 }
 
 /// The distribution of one parameter, in its unit.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SimulatedParameter {
     /// Name.
     pub name: String,
@@ -129,7 +130,7 @@ pub struct SimulatedParameter {
 }
 
 /// Whether the GUM interval of an estimate agrees with that of the Monte Carlo calculation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GumComparison {
     /// Estimate plus and minus the expanded uncertainty.
     pub interval: [f64; 2],

@@ -1,6 +1,7 @@
 //! A covariance whose rows and columns have names.
 
 use nalgebra::DMatrix;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Covariance of named values, in the units of these.
@@ -15,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// // What is not known has no covariance with anything.
 /// assert_eq!(known.block(&["EC0Y", "dxt"]).as_slice(), [9.0, 0.0, 0.0, 0.0]);
 /// ```
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct NamedCovariance {
     /// Names, in the order of rows and columns.
     pub order: Vec<String>,

@@ -22,7 +22,7 @@ pub const CALIBRATION_FORMAT: u32 = 1;
 const FORMAT: FileFormat = FileFormat { name: "calibration", key: "abbe_calibration", number: CALIBRATION_FORMAT };
 
 /// The result of an estimate for a machine and its artefacts.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Calibration {
     /// Number of the format, [`CALIBRATION_FORMAT`].
     pub abbe_calibration: u32,
@@ -60,7 +60,7 @@ pub struct Calibration {
 }
 
 /// A group of rows with an estimate of its own: those of one week, day or file.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Group {
     /// What the rows have in common: the name of a column, or `file`.
     pub by: String,
@@ -73,7 +73,7 @@ pub struct Group {
 }
 
 /// Plugin and settings from which the model is built again.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ModelRecord {
     /// Name of the model plugin.
     pub plugin: String,
@@ -82,7 +82,7 @@ pub struct ModelRecord {
 }
 
 /// Status of a value of a calibration.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Status {
     /// Estimated from the data.
@@ -96,7 +96,7 @@ pub enum Status {
 }
 
 /// A parameter with its value.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Estimated {
     /// Name.
     pub name: String,
@@ -111,7 +111,7 @@ pub struct Estimated {
 }
 
 /// An estimated error that is larger than an error of a machine can be.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ImplausibleValue {
     /// Name of the parameter.
     pub name: String,
@@ -122,7 +122,7 @@ pub struct ImplausibleValue {
 }
 
 /// An input that is not estimated but whose uncertainty is propagated: a certificate, a stylus, a sensor.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ConsideredInput {
     /// Name in this estimate.
     pub name: String,
@@ -161,7 +161,7 @@ impl ConsideredInput {
 }
 
 /// Rows of a file that an estimate was made from.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct DataRecord {
     /// The file, as it was named.
     pub file: String,
@@ -173,7 +173,7 @@ pub struct DataRecord {
 }
 
 /// A row that does not agree with the others.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Outlier {
     /// Artefact stage.
     pub stage: String,
@@ -200,7 +200,7 @@ impl Outlier {
 }
 
 /// Report of the fit.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct FitReport {
     /// Number of equations used.
     pub observations: usize,
@@ -319,7 +319,7 @@ impl FitReport {
 }
 
 /// Scatter of the readings of an artefact, relative to their stated uncertainties.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct VarianceFactor {
     /// The artefact stage.
     pub stage: String,
@@ -331,7 +331,7 @@ pub struct VarianceFactor {
 }
 
 /// Whether calibrations that were combined agree within their uncertainties.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CombinedAgreement {
     /// Their weighted squared differences, inputs that they share taken into account.
     pub chi_squared: f64,
@@ -342,7 +342,7 @@ pub struct CombinedAgreement {
 }
 
 /// A selection of parameters by their significance.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Selection {
     /// Significance level: largest probability that chance alone makes a kept parameter look as significant.
     pub level: f64,
@@ -370,7 +370,7 @@ pub enum SelectionDirection {
 }
 
 /// A step of a selection.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SelectionStep {
     /// The parameter.
     pub parameter: String,
@@ -381,7 +381,7 @@ pub struct SelectionStep {
 }
 
 /// A selection of parameters by the prediction of runs that no estimate has seen.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SelectionByPrediction {
     /// The runs that were left out in turn.
     pub runs: Vec<String>,
@@ -398,7 +398,7 @@ pub struct SelectionByPrediction {
 }
 
 /// Candidates that were left out, and how well the others predict.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct PredictedStructure {
     /// The candidates, as the recipe names them.
     pub left_out: Vec<String>,

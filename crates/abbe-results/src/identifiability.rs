@@ -1,5 +1,6 @@
 //! Identifiability: rank, lost directions, motion errors with the same effect.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::budget::UncertaintyBudget;
@@ -7,7 +8,7 @@ use abbe_settings::{Quantity, Unit};
 
 /// A motion error of an axis that moves the tip at every recorded pose as other errors of this axis do, for any functions.
 /// Different knots may make it appear determined, but the machine does not separate it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct EquivalentMotionError {
     /// Symbol of the error.
     pub error: String,
@@ -64,7 +65,7 @@ fn and(parts: impl Iterator<Item = String>) -> String {
 }
 
 /// A direction in the space of the unknowns: a change of them together that has no effect on the data, or a weak one.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct WeakDirection {
     /// Singular value relative to the largest, columns normalised.
     pub singular_value: f64,
@@ -76,7 +77,7 @@ pub struct WeakDirection {
 }
 
 /// One unknown of a [`WeakDirection`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Combination {
     /// Name.
     pub name: String,
@@ -135,7 +136,7 @@ impl WeakDirection {
 }
 
 /// Identifiability of a problem.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Identifiability {
     /// Number of equations.
     pub observations: usize,

@@ -3,6 +3,7 @@
 //! All estimates that use the same bar, ball, stylus, sensor or certificate share its error. Two inputs with one identity are
 //! one quantity. It is counted once in an estimate that uses it twice, and it correlates estimates of different days.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -16,7 +17,7 @@ use sha2::{Digest, Sha256};
 /// assert_eq!(bar(500.0012).identity(), bar(500.0012).identity());
 /// assert_ne!(bar(500.0012).identity(), bar(500.0013).identity());
 /// ```
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Certificate {
     /// Name of the quantity on this certificate, the same wherever the certificate is used: `length`, `point[3].x`.
     pub quantity: String,

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::settings::PathItem;
@@ -11,7 +12,7 @@ use crate::settings::PathItem;
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// Class of an error. It decides the exit status.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Class {
     /// Wrong use, or any error that can be found without reading data rows: exit status 2.
@@ -24,7 +25,7 @@ pub enum Class {
 }
 
 /// A place in a file; lines and columns count from 1.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Place {
     /// The file.
     pub file: PathBuf,
@@ -70,7 +71,7 @@ pub struct Error {
 }
 
 /// How an iteration ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Termination {
     /// The last step was below the tolerance.
@@ -84,7 +85,7 @@ pub enum Termination {
 }
 
 /// State of an iteration at its end.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Convergence {
     /// How it ended.
     pub termination: Termination,

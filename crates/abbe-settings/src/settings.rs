@@ -11,7 +11,7 @@ use crate::error::{Class, nearest};
 use crate::ranges;
 
 /// One step on the way to a setting: a key of a map or an index of a list.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum PathItem {
     /// Key of a map.

@@ -1,12 +1,14 @@
 //! Units: the suffixes of columns and settings, and the units of parameters.
 
+use std::borrow::Cow;
 use std::fmt;
 use std::str::FromStr;
 
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
 /// The kind of quantity of a column or a parameter. In memory each kind has one unit only.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Quantity {
     /// An identifier: text that is compared, never computed with.
@@ -126,6 +128,20 @@ pub struct Unit {
     pub per: Option<(Quantity, u8)>,
     /// What else is below the line.
     pub and_per: Option<Quantity>,
+}
+
+impl JsonSchema for Unit {
+    fn schema_name() -> Cow<'static, str> {
+        "Unit".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({
+            "type": "string",
+            "description": "The unit of a parameter: a quantity, a quantity per power of another, or per this and a third one.",
+            "examples": ["mm", "rad", "mm/mm", "mm/rad^2", "rad/(mm K)"]
+        })
+    }
 }
 
 impl Unit {

@@ -4,6 +4,8 @@
 //! the run length from a state (Page 1954; Crowder 1987, A simple method for studying run-length distributions of
 //! exponentially weighted moving average charts). It is solved at the nodes of a Gauss-Legendre rule.
 
+use std::sync::LazyLock;
+
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{Continuous, ContinuousCDF, Normal};
 
@@ -119,24 +121,28 @@ fn solved(rule: &[(f64, f64)], kernel: impl Fn(f64, f64, f64) -> f64) -> DVector
     matrix.lu().solve(&DVector::repeat(size, 1.0)).unwrap_or_else(|| DVector::repeat(size, f64::INFINITY))
 }
 
-/// Nodes and weights of the Gauss-Legendre rule between two numbers: roots of the Legendre polynomial by Newton's method.
+/// Nodes and weights of the Gauss-Legendre rule between two numbers.
 fn gauss_legendre(low: f64, high: f64) -> Vec<(f64, f64)> {
+    /// Those between -1 and 1.
+    static RULE: LazyLock<Vec<(f64, f64)>> = LazyLock::new(|| (0..NODES).map(node).collect());
     let (middle, half) = ((low + high) / 2.0, (high - low) / 2.0);
-    let node = |index: usize| {
-        let mut x = (std::f64::consts::PI * (index as f64 + 0.75) / (NODES as f64 + 0.5)).cos();
-        let mut slope = 1.0;
-        for _ in 0..20 {
-            let (mut last, mut value) = (1.0, x);
-            for degree in 2..=NODES {
-                let degree = degree as f64;
-                (last, value) = (value, ((2.0 * degree - 1.0) * x * value - (degree - 1.0) * last) / degree);
-            }
-            slope = NODES as f64 * (x * value - last) / (x * x - 1.0);
-            x -= value / slope;
+    RULE.iter().map(|(node, weight)| (middle + half * node, half * weight)).collect()
+}
+
+/// A root of the Legendre polynomial, by Newton's method, and its weight.
+fn node(index: usize) -> (f64, f64) {
+    let mut x = (std::f64::consts::PI * (index as f64 + 0.75) / (NODES as f64 + 0.5)).cos();
+    let mut slope = 1.0;
+    for _ in 0..20 {
+        let (mut last, mut value) = (1.0, x);
+        for degree in 2..=NODES {
+            let degree = degree as f64;
+            (last, value) = (value, ((2.0 * degree - 1.0) * x * value - (degree - 1.0) * last) / degree);
         }
-        (middle + half * x, half * 2.0 / ((1.0 - x * x) * slope * slope))
-    };
-    (0..NODES).map(node).collect()
+        slope = NODES as f64 * (x * value - last) / (x * x - 1.0);
+        x -= value / slope;
+    }
+    (x, 2.0 / ((1.0 - x * x) * slope * slope))
 }
 
 #[cfg(test)]

@@ -8,7 +8,9 @@ use clap::{Parser, Subcommand};
 
 use crate::interrupt::seconds;
 use crate::progress::Progress;
-use crate::{compensate, correct, data, explain, history, machine, new, planning, serve, test};
+#[cfg(feature = "serve")]
+use crate::serve;
+use crate::{compensate, correct, data, explain, history, machine, new, planning, test};
 
 /// Calibrates machine tools and coordinate measuring machines from declared recipes.
 #[derive(Parser)]
@@ -171,6 +173,8 @@ pub enum PluginCommand {
         #[arg(long)]
         json: bool,
     },
+    /// Print the JSON Schemas of all that a plugin is asked and answers, by the name of the message.
+    Messages,
     /// Run one test of a library in this process.
     #[command(hide = true)]
     Test {

@@ -338,7 +338,7 @@ fn of_stage(stage: &Understood) -> Result<String> {
         rows.push(vec![column.header.header.clone(), holds, from, to, unit, role]);
     }
     text.push_str(&table::within(&rows, &[2, 3], 1, width));
-    if let Some(repeated) = data.repeated_in_words(data.row_indices()) {
+    if let Some(repeated) = abbe_engine::repeated_in_words(data, data.row_indices()) {
         text.push_str(&lines::wrapped(&format!("  {repeated}"), width));
     }
     // Settings of `ingest: csv`; other plugins read the usual layout.

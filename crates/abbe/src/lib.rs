@@ -100,7 +100,11 @@ fn carried_out(arguments: Arguments) -> ExitCode {
             arguments.command,
             Command::Schema
                 | Command::Plugins { json: true, .. }
-                | Command::Plugin { command: PluginCommand::Check { json: true, .. } | PluginCommand::Test { .. } }
+                | Command::Plugin {
+                    command: PluginCommand::Check { json: true, .. }
+                        | PluginCommand::Test { .. }
+                        | PluginCommand::Messages
+                }
         );
     let shown = |text: &str| {
         if is_json { harmless_json(text).into_owned() } else { brief::coloured(&harmless(text)).into_owned() }
@@ -283,6 +287,9 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
                 false => report.text(),
             };
             Ok((text, status))
+        }
+        Command::Plugin { command: PluginCommand::Messages } => {
+            Ok((pretty(&Value::Object(abbe_plugin::messages::schemas()))?, 0))
         }
         Command::Plugin { command: PluginCommand::Test { file, test, recipe } } => match recipe {
             None => abbe_plugin::check::test(&file, &test).map(|text| (text, 0)),

@@ -308,12 +308,10 @@ impl Asked<'_> {
 }
 
 fn opened(file: &Path) -> Result<BufReader<File>> {
-    let unreadable = |error: std::io::Error| Error::usage(format!("the file cannot be read: {error}")).in_file(file);
-    let opened = File::open(file).map_err(unreadable)?;
-    match opened.metadata().map_err(unreadable)?.is_dir() {
-        true => Err(Error::usage("this is a folder; a program was expected").in_file(file)),
-        false => Ok(BufReader::new(opened)),
-    }
+    let opened = abbe_files::open(file);
+    opened
+        .map(BufReader::new)
+        .map_err(|error| Error::usage(format!("the program cannot be read: {error}")).in_file(file))
 }
 
 /// Errors of the set-up belong to one tool.

@@ -177,12 +177,16 @@ pub fn doubted(run: &str, columns: &[&[f64]]) -> Option<String> {
 
 /// A remark on readings that range over less than the standard uncertainty that is stated for one: both in one unit, `unit`.
 pub fn too_quiet(run: &str, readings: &[f64], standard_uncertainty: f64, unit: &str) -> Option<String> {
+    quieter_than(run, readings, (standard_uncertainty, "is the standard uncertainty of one"), unit)
+}
+
+/// A remark on readings that range over less than something that is stated of them, with the words that say what: both in one unit.
+pub fn quieter_than(run: &str, readings: &[f64], (stated, what): (f64, &str), unit: &str) -> Option<String> {
     let (low, high) =
         readings.iter().fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(*value), high.max(*value)));
-    (readings.len() > 2 && high - low < standard_uncertainty).then(|| {
+    (readings.len() > 2 && high - low < stated).then(|| {
         format!(
-            "{run}: all readings are within {:.3} {unit}, and {standard_uncertainty} {unit} is the standard uncertainty of one: is the unit \
-             of the column right?",
+            "{run}: all readings are within {:.3} {unit}, and {stated} {unit} {what}: is the unit of the column right?",
             high - low
         )
     })

@@ -107,6 +107,7 @@ impl Diagonals {
             return Err(error.help("`validate: positioning` is for single axes"));
         };
         let found = Positioning::of(&readings.targets);
+        findings.remarks.extend(self.uncertainty.and_then(|stated| stated.quiet(&readings)));
         let terms = self.uncertainty.and_then(|stated| stated.terms(&readings));
         let expanded = terms.and_then(|terms| terms.expanded(readings.runs()));
         let mut sheet = Sheet::new(&run, &self.limits);

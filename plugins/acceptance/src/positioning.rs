@@ -12,7 +12,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Acceptance, Judge, Limits, check_limits, doubted, figure};
+use crate::common::{Acceptance, Judge, Limits, check_limits, doubted, figure, quieter_than};
 use crate::targets::Readings;
 
 abbe_core::register!(
@@ -93,6 +93,15 @@ impl Uncertainty {
         Ok(())
     }
 
+    /// A remark on readings that range over less than the drift that is stated: they are in another unit.
+    pub fn quiet(&self, readings: &Readings) -> Option<String> {
+        let drift = match readings.axis {
+            Axis::Linear => self.eve_range_um,
+            Axis::Rotary => self.rotary.eve_range_urad,
+        };
+        quieter_than(&readings.name, &readings.in_order, (drift, "is the range of the drift alone"), readings.unit)
+    }
+
     /// The contributions to the readings of an axis.
     pub fn terms(&self, readings: &Readings) -> Option<Terms> {
         match readings.axis {
@@ -167,6 +176,7 @@ impl Acceptance for Settings {
         for data in data {
             let readings = Readings::of(data)?;
             findings.remarks.extend(doubted(&readings.name, &[&readings.in_order]));
+            findings.remarks.extend(self.uncertainty.and_then(|stated| stated.quiet(&readings)));
             self.judge(&readings, &mut findings);
         }
         self.absent(&mut findings.figures);

@@ -3,6 +3,7 @@
 use abbe_core::{Calibration, Error, Estimated, Result};
 use abbe_numerics::{coverage_factor, joint_coverage_factor};
 
+use crate::conformity::{self, Statement};
 use crate::element::Element;
 use crate::settings::{Condition, Contact, Settings};
 use crate::units::{dsi, product};
@@ -134,19 +135,33 @@ fn measurement(settings: &Settings, calibration: &Calibration, certified: &[&Est
         Element::of("dcc:influenceConditions", conditions.collect()),
         Element::of("dcc:results", vec![result]),
     ];
-    let data: Vec<Element> = calibration
-        .data
-        .iter()
-        .filter_map(|record| {
-            let hash = record.sha256.as_ref()?;
-            let name = named("dcc:name", &printable(&record.file));
-            Some(Element::of("dcc:metaData", vec![name, Element::text("dcc:reference", format!("SHA-256 {hash}"))]))
-        })
-        .collect();
-    if !data.is_empty() {
-        elements.push(Element::of("dcc:measurementMetaData", data));
+    let files = calibration.data.iter().filter_map(|record| {
+        let hash = record.sha256.as_ref()?;
+        let name = named("dcc:name", &printable(&record.file));
+        Some(Element::of("dcc:metaData", vec![name, Element::text("dcc:reference", format!("SHA-256 {hash}"))]))
+    });
+    let mut more: Vec<Element> = conformity::statements(settings, certified)?.iter().map(statement).collect();
+    more.extend(files);
+    if !more.is_empty() {
+        elements.push(Element::of("dcc:measurementMetaData", more));
     }
     Ok(Element::of("dcc:measurementResult", elements))
+}
+
+/// A statement of conformity, with its limit.
+fn statement(stated: &Statement) -> Element {
+    let limit = vec![Element::text("si:value", number(stated.limit)), Element::text("si:unit", &stated.unit)];
+    let limit = vec![named("dcc:name", "largest admissible size"), Element::of("si:real", limit)];
+    Element::of(
+        "dcc:metaData",
+        vec![
+            named("dcc:name", &format!("Conformity of {}", label(&stated.parameter))),
+            Element::text("dcc:norm", stated.rule),
+            named("dcc:declaration", &stated.declaration),
+            Element::text("dcc:conformity", stated.status),
+            Element::of("dcc:data", vec![Element::of("dcc:quantity", limit)]),
+        ],
+    )
 }
 
 /// Values, expanded uncertainties and covariance.

@@ -4,6 +4,7 @@
 //! The values, their expanded uncertainties and their whole covariance come from the calibration. Who calibrated what, for whom and under
 //! which conditions is for people to say: Abbe is no laboratory, so nothing of it has a default.
 
+mod conformity;
 mod contents;
 mod element;
 mod settings;

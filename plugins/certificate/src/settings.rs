@@ -1,6 +1,8 @@
 //! Settings of a certificate: what only people know.
 
-use abbe_core::{PathItem, SettingsError};
+use std::collections::BTreeMap;
+
+use abbe_core::{Limit, PathItem, SettingsError};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -38,6 +40,10 @@ pub struct Settings {
     /// The parameters that are certified, by patterns. Default: all of the machine that were estimated.
     #[serde(default)]
     pub parameters: Vec<String>,
+    /// Largest admissible sizes of parameters, by patterns: statements of conformity, with the rule that decides. In um, urad or 1e-6,
+    /// as the parameter is a length, an angle or a number.
+    #[serde(default)]
+    pub limits: BTreeMap<String, Limit>,
     /// Probability of the expanded uncertainties, and of the ellipsoid around all values. The schema takes coverage factors from 1.
     #[serde(default = "usual")]
     #[schemars(range(min = 0.7, max = 0.9999))]
@@ -212,6 +218,10 @@ impl Settings {
             texts.into_iter().flatten().try_for_each(|text| named(name, text))?;
         }
         self.conditions.iter().try_for_each(Condition::check)?;
+        if let Some((pattern, limit)) = self.limits.iter().find(|(_, limit)| limit.value <= 0.0) {
+            let message = format!("{}: a limit above 0 was expected", limit.value);
+            return Err(SettingsError::new(pattern, message).under([PathItem::Key("limits".to_owned())]));
+        }
         match (0.7..=0.9999).contains(&self.coverage_probability) {
             true => Ok(()),
             false => Err(SettingsError::new("coverage_probability", "a number from 0.7 to 0.9999 was expected")),

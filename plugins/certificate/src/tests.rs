@@ -168,6 +168,46 @@ fn what_only_people_know_has_no_default() {
     }
 }
 
+/// EB0C is 45 µrad with u = 2 µrad: the guard band of 1.65 u is 3.3 µrad on either side of a limit.
+#[test]
+fn conformity_is_stated_by_the_rule() {
+    let calibration = calibration();
+    let stated = |limits: Value| -> Result<Vec<[String; 3]>> {
+        let mut settings = example();
+        settings["limits"] = limits;
+        let text = written(&settings, &calibration)?;
+        let document = roxmltree::Document::parse(&text).expect("XML");
+        let of = |node: roxmltree::Node<'_, '_>, name: &str| {
+            let found = node.descendants().find(|node| node.tag_name().name() == name);
+            found.and_then(|node| node.text()).map(str::to_owned)
+        };
+        let data = document.descendants().filter(|node| node.tag_name().name() == "metaData");
+        Ok(data.filter_map(|node| Some([of(node, "conformity")?, of(node, "norm")?, of(node, "value")?])).collect())
+    };
+    let rule = "iso-14253-1-2017";
+    for (limit, decision, status, norm) in [
+        (48.4, rule, "pass", "ISO 14253-1:2017"),
+        (48.2, rule, "conditionalPass", "ISO 14253-1:2017"),
+        (44.9, rule, "conditionalFail", "ISO 14253-1:2017"),
+        (41.6, rule, "fail", "ISO 14253-1:2017"),
+        (45.1, "simple", "pass", "JCGM 106:2012, 8.2 (simple acceptance)"),
+        (44.9, "simple", "fail", "JCGM 106:2012, 8.2 (simple acceptance)"),
+    ] {
+        let found = stated(json!({ "EB0C": { "limit": limit, "decision": decision }, "E*[2]": 1 }));
+        assert!(found.is_err_and(|error| error.to_string().contains("EXB[2] has the unit mm/rad^2")));
+        let found = stated(json!({ "E*0C": 1, "EB0C": { "limit": limit, "decision": decision } })).expect("statements");
+        assert_eq!(found.len(), 1);
+        assert_eq!((found[0][0].as_str(), found[0][1].as_str()), (status, norm), "{limit} {decision}");
+        let written: f64 = found[0][2].parse().expect("a number");
+        assert!((written / (limit * 1e-6) - 1.0).abs() < 1e-12, "{written}");
+    }
+    assert_eq!(stated(json!({ "EXX*": 12.1, "EB0C": 10 })).expect("statements").len(), 2);
+    assert!(stated(json!({ "EYY*": 1 })).is_err_and(|error| error.to_string().contains("no certified parameter")));
+    let mut settings = example();
+    settings["limits"] = json!({ "EB0C": -1 });
+    assert!(built(&settings).is_err_and(|error| error.to_string().contains("limits.EB0C")));
+}
+
 #[test]
 fn only_what_is_determined_is_certified() {
     let mut calibration = calibration();

@@ -6,6 +6,8 @@ use abbe_core::{
     Calibration, Context, Export, ExportedFile, InputFile, KinematicModel, PathItem, Result, SettingsError, positive,
 };
 
+use abbe_measuring::language;
+
 use crate::plan::Motion;
 use crate::points::Points;
 use crate::program::{Programme, Step};
@@ -77,18 +79,12 @@ impl Common {
     }
 }
 
-/// A number with at most six decimals, and at least one if a decimal point has to stand there.
+/// A number with at most six decimals, and at least one.
 pub fn number(value: f64) -> String {
-    let text = format!("{value:.6}");
-    let text = text.trim_end_matches('0');
-    if text == "-0." { "0.".to_owned() } else { text.to_owned() }
+    language::number(value, 6)
 }
 
-/// Text in letters that every controller shows: capitals, digits and few signs.
-pub fn plain(text: &str) -> String {
-    let plain = |letter: char| match letter.to_ascii_uppercase() {
-        letter if letter.is_ascii_alphanumeric() || " +-.,:".contains(letter) => letter,
-        _ => ' ',
-    };
-    text.chars().map(plain).collect()
+/// A number without a decimal point where it needs none, for what is no position.
+pub fn short_number(value: f64) -> String {
+    number(value).trim_end_matches('0').trim_end_matches('.').to_owned()
 }

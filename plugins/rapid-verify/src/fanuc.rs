@@ -5,11 +5,14 @@
 //! coordinates. Variables follow Table 2 of Muelaner et al. 2014: tolerance, readings, minima, maxima, flags, without gaps.
 
 use abbe_core::{Context, Error, Export, Result, SettingsError};
+use abbe_measuring::language::fanuc::{
+    STOPPED_MM, alarm, guarded, remark, skipped, stop, until_contact, was_stopped, zero_offset,
+};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value as Json, json};
 
-use crate::controller::{Common, Dialect, Kind, number, plain};
+use crate::controller::{Common, Dialect, Kind, number, short_number};
 use crate::plan::Motion;
 use crate::program::{Condition, Fault, Programme, Step, Target, Value, Variable};
 
@@ -133,7 +136,7 @@ impl Dialect for Fanuc {
             return Err(error.setting("first_variable").help("use fewer points or a smaller first variable"));
         }
         let axes = programme.stops.iter().map(|stop| &stop.axis).chain([&programme.retract.0]);
-        if let Some(axis) = axes.into_iter().find(|axis| axis_number(axis).is_none()) {
+        if let Some(axis) = axes.into_iter().find(|axis| skipped(axis).is_none()) {
             return Err(Error::usage(format!("`G31` along {axis}: the first three axes are X, Y and Z here")));
         }
         let mut text = Text { settings: &self.settings, points, label: 0, loops: 0, lines: Vec::new() };
@@ -149,17 +152,6 @@ impl Fanuc {
         self.settings.program + if kind == Kind::Baseline { 0 } else { 1 }
     }
 }
-
-/// The number of an axis among position variables.
-fn axis_number(axis: &str) -> Option<u32> {
-    ["X", "Y", "Z"].iter().position(|name| *name == axis).map(|index| index as u32 + 1)
-}
-
-/// A guarded move that ends further than this from its end has met something, mm.
-const ARRIVED: f64 = 0.01;
-
-/// Length of an alarm's text that every controller shows.
-const ALARM_TEXT: usize = 26;
 
 struct Text<'a> {
     settings: &'a Settings,
@@ -201,10 +193,7 @@ impl Text<'_> {
             self.settings.work_offset.clone(),
         ];
         self.lines.extend(lines);
-        for axis in 1..=3 {
-            let alarm = self.alarm(Fault::WorkOffset.number(), "work offset is not zero");
-            self.add(format!("IF [ABS[#502{axis}-#504{axis}] GT 0.001] THEN {alarm}"));
-        }
+        self.lines.extend(zero_offset(&self.alarm(Fault::WorkOffset, "work offset is not zero")));
         self.add(self.settings.orientation.clone());
     }
 
@@ -228,7 +217,7 @@ impl Text<'_> {
 
     fn value(&self, value: Value) -> String {
         match value {
-            Value::Number(value) => number(value).trim_end_matches('.').to_owned(),
+            Value::Number(value) => short_number(value),
             Value::Of(variable) => self.variable(variable),
             Value::Sum(one, other) => format!("{}+{}", self.variable(one), self.variable(other)),
             Value::Next(variable) => format!("{}+1", self.variable(variable)),
@@ -247,9 +236,8 @@ impl Text<'_> {
         }
     }
 
-    fn alarm(&self, number: u32, text: &str) -> String {
-        let text: String = plain(text).chars().take(ALARM_TEXT).collect();
-        format!("#3000={}({})", self.settings.first_alarm + number, text.trim_end())
+    fn alarm(&self, fault: Fault, text: &str) -> String {
+        alarm(self.settings.first_alarm + fault.number(), text)
     }
 
     fn steps(&mut self, steps: &[Step]) -> Result<()> {
@@ -264,7 +252,7 @@ impl Text<'_> {
         let (probing, positioning) = (number(*probing_feed_mm_per_min), number(*positioning_feed_mm_per_min));
         let skip = &self.settings.skip;
         match step {
-            Step::Comment(text) => self.add(format!("({})", plain(text))),
+            Step::Comment(text) => self.add(remark(text)),
             Step::Set(variable, value) => self.add(format!("{}={}", self.variable(*variable), self.value(*value))),
             Step::If(condition, inner) => {
                 self.label += 1;
@@ -283,37 +271,26 @@ impl Text<'_> {
             }
             Step::Rapid(target) => self.add(format!("G0 {}", words(target))),
             Step::Guarded(axis, at) => {
-                let (variable, end) = (skipped(axis), number(*at));
-                self.add(format!("{skip} {axis}{end} F{positioning}"));
-                let alarm = self.alarm(Fault::Obstacle.number(), "obstacle before a point");
-                self.add(format!("IF [ABS[{variable}-[{end}]] GT {ARRIVED}] THEN {alarm}"));
+                let alarm = self.alarm(Fault::Obstacle, "obstacle before a point");
+                let stopped = STOPPED_MM.to_string();
+                self.lines.extend(guarded(skip, &[(axis, number(*at))], [&positioning, &stopped], &alarm));
             }
             Step::Back(axis, at) => self.add(format!("G1 {axis}{} F{positioning}", number(*at))),
             Step::Probe(axis, to) => {
-                let (variable, end) = (skipped(axis), number(*to));
-                self.add(format!("{skip} {axis}{end} F{probing}"));
-                self.add(format!("#1={variable}"));
-                self.add("#2=0".to_owned());
-                self.add(format!("IF [ABS[#1-[{end}]] GT {ARRIVED}] THEN #2=1"));
+                // The axes of all stops have one: `program` looks.
+                let (skipped, end) = (skipped(axis).unwrap_or_default(), number(*to));
+                self.add(until_contact(skip, &format!("{axis}{end}"), &probing));
+                self.add(format!("#1={skipped}"));
+                self.add("#2=0");
+                self.add(format!("IF {} THEN #2=1", was_stopped("#1", &end, &STOPPED_MM.to_string())));
             }
-            Step::Alarm(fault, text) => {
-                let alarm = self.alarm(fault.number(), text);
-                self.add(alarm);
-            }
-            Step::Stop(text) => {
-                let text: String = plain(text).chars().take(ALARM_TEXT).collect();
-                self.add(format!("#3006=1({text})"));
-            }
+            Step::Alarm(fault, text) => self.add(self.alarm(*fault, text)),
+            Step::Stop(text) => self.add(stop(text)),
             // A message without a stop is a comment on the screen that shows the running block.
-            Step::Message(text) => self.add(format!("({})", plain(text))),
+            Step::Message(text) => self.add(remark(text)),
         }
         Ok(())
     }
-}
-
-/// The variable of the skip position of an axis.
-fn skipped(axis: &str) -> String {
-    format!("#{}", 5060 + axis_number(axis).unwrap_or_default())
 }
 
 fn words(target: &Target) -> String {

@@ -5,13 +5,14 @@
 //! Results are R parameters in blocks of a hundred, as in the paper: values, minima, maxima, tolerance (Muelaner et al. 2014, 4.1).
 
 use abbe_core::{Context, Error, Export, Result, SettingsError};
+use abbe_measuring::language::siemens::{alarm, measured, message, remark, stop, to, touched, until_contact, watch};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value as Json, json};
 
-use crate::controller::{Common, Dialect, Kind, number, plain};
+use crate::controller::{Common, Dialect, Kind, number, short_number};
 use crate::plan::Motion;
-use crate::program::{Condition, Programme, Step, Target, Value, Variable};
+use crate::program::{Condition, Fault, Programme, Step, Target, Value, Variable};
 
 abbe_core::register!(
     Export,
@@ -158,7 +159,7 @@ impl Text<'_> {
             "D0".to_owned(),
             format!("SPOS={}", number(self.settings.spindle_deg)),
         ];
-        self.steps(steps, 0, &mut lines);
+        self.steps(steps, &mut lines);
         lines.push("M30".to_owned());
         lines.join("\n") + "\n"
     }
@@ -183,7 +184,7 @@ impl Text<'_> {
 
     fn value(&self, value: Value) -> String {
         match value {
-            Value::Number(value) => number(value).trim_end_matches('.').to_owned(),
+            Value::Number(value) => short_number(value),
             Value::Of(variable) => self.variable(variable),
             Value::Sum(one, other) => format!("{}+{}", self.variable(one), self.variable(other)),
             Value::Next(variable) => format!("{}+1", self.variable(variable)),
@@ -205,63 +206,47 @@ impl Text<'_> {
         }
     }
 
-    fn steps(&self, steps: &[Step], depth: usize, lines: &mut Vec<String>) {
-        let indent = "  ".repeat(depth);
+    fn steps(&self, steps: &[Step], lines: &mut Vec<String>) {
         let Motion { probing_feed_mm_per_min, positioning_feed_mm_per_min, .. } = &self.settings.motion;
+        let (probing, positioning) = (number(*probing_feed_mm_per_min), number(*positioning_feed_mm_per_min));
         let input = self.settings.probe_input;
+        let number_of = |fault: Fault| self.settings.first_alarm + fault.number();
+        let word = |axis: &str, at: f64| format!("{axis}={}", number(at));
         for step in steps {
-            let mut add = |text: String| lines.push(format!("{indent}{text}"));
-            match step {
-                Step::Comment(text) => add(format!("; {}", plain(text))),
-                Step::Set(variable, value) => add(format!("{}={}", self.variable(*variable), self.value(*value))),
-                Step::If(condition, inner) => {
-                    add(format!("IF {}", self.condition(*condition)));
-                    self.steps(inner, depth + 1, lines);
-                    lines.push(format!("{indent}ENDIF"));
-                }
-                Step::While(condition, inner) => {
-                    add(format!("WHILE {}", self.condition(*condition)));
-                    self.steps(inner, depth + 1, lines);
-                    lines.push(format!("{indent}ENDWHILE"));
-                }
-                Step::Rapid(target) => add(format!("G0 SUPA {}", words(target))),
+            let written = match step {
+                Step::Comment(text) => vec![remark(text)],
+                Step::Set(variable, value) => vec![format!("{}={}", self.variable(*variable), self.value(*value))],
+                Step::If(condition, inner) => self.nested("IF", *condition, inner),
+                Step::While(condition, inner) => self.nested("WHILE", *condition, inner),
+                Step::Rapid(target) => vec![format!("G0 SUPA {}", words(target))],
                 Step::Guarded(axis, at) => {
-                    let feed = number(*positioning_feed_mm_per_min);
-                    add(format!("MEAS={input} G1 SUPA {axis}={} F{}", number(*at), feed.trim_end_matches('.')));
-                    add("STOPRE".to_owned());
-                    add(format!("IF $AC_MEA[{input}]>=1"));
-                    let fault = crate::program::Fault::Obstacle;
-                    let alarm = Step::Alarm(fault, "obstacle before a point".to_owned());
-                    self.steps(&[alarm], depth + 1, lines);
-                    lines.push(format!("{indent}ENDIF"));
+                    let mut lines = vec![until_contact(input, &word(axis, *at), &positioning)];
+                    lines.extend(watch(input, number_of(Fault::Obstacle), "obstacle before a point"));
+                    lines
                 }
-                Step::Back(axis, at) => {
-                    let feed = number(*positioning_feed_mm_per_min);
-                    add(format!("G1 SUPA {axis}={} F{}", number(*at), feed.trim_end_matches('.')));
-                }
-                Step::Probe(axis, to) => {
-                    let feed = number(*probing_feed_mm_per_min);
-                    add(format!("MEAS={input} G1 SUPA {axis}={} F{}", number(*to), feed.trim_end_matches('.')));
-                    add("STOPRE".to_owned());
-                    add(format!("_TOUCHED=$AC_MEA[{input}]"));
-                    add(format!("_MEASURED=$AA_MM[{axis}]"));
-                }
-                Step::Alarm(fault, text) => {
-                    add(format!("MSG(\"{}\")", plain(text)));
-                    add("STOPRE".to_owned());
-                    add(format!("SETAL({})", self.settings.first_alarm + fault.number()));
-                    add("; ONLY RESET LEADS OUT OF HERE".to_owned());
-                    add("LOOP".to_owned());
-                    add("M0".to_owned());
-                    add("ENDLOOP".to_owned());
-                }
-                Step::Stop(text) => {
-                    add(format!("MSG(\"{}\")", plain(text)));
-                    add("M0".to_owned());
-                }
-                Step::Message(text) => add(format!("MSG(\"{}\")", plain(text))),
-            }
+                Step::Back(axis, at) => vec![to(&word(axis, *at), &positioning)],
+                Step::Probe(axis, end) => vec![
+                    until_contact(input, &word(axis, *end), &probing),
+                    "STOPRE".to_owned(),
+                    format!("_TOUCHED={}", touched(input)),
+                    format!("_MEASURED={}", measured(axis)),
+                ],
+                Step::Alarm(fault, text) => alarm(number_of(*fault), text),
+                Step::Stop(text) => stop(text).into(),
+                Step::Message(text) => vec![message(text)],
+            };
+            lines.extend(written);
         }
+    }
+
+    /// Steps within `IF` or `WHILE`, indented.
+    fn nested(&self, word: &str, condition: Condition, inner: &[Step]) -> Vec<String> {
+        let mut within = Vec::new();
+        self.steps(inner, &mut within);
+        let mut lines = vec![format!("{word} {}", self.condition(condition))];
+        lines.extend(within.into_iter().map(|line| format!("  {line}")));
+        lines.push(format!("END{word}"));
+        lines
     }
 }
 

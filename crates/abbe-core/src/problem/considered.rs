@@ -1,6 +1,7 @@
 //! Considered quantities of a problem: known inputs, and results of an earlier estimate. They are not estimated, but their
 //! uncertainty is propagated.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::index::SetIndex;
@@ -14,7 +15,7 @@ use abbe_settings::Unit;
 use abbe_settings::{Error, Result};
 
 /// A known input of a problem, with the sets that use it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Input {
     /// Name in results: `bar.reference_error`, or `stylus_radius` where it is the machine's.
     pub name: String,
@@ -47,7 +48,7 @@ impl Input {
 
 /// Quantities that are not estimated but whose uncertainty is propagated: known inputs, and results of an earlier
 /// calibration.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Considered {
     /// The parameters.
     pub unknowns: Vec<Unknown>,
@@ -64,7 +65,7 @@ pub struct Considered {
 /// What an earlier estimate knows of unknowns of a problem, together with what it knows of what is considered there.
 ///
 /// The problem starts from these values as well; whether they count as knowledge is the estimator's affair.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Prior {
     /// Name of the earlier estimate.
     pub estimate: String,

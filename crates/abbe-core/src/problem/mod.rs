@@ -11,6 +11,7 @@ mod tie;
 
 use std::sync::Arc;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::index::{IndexRange, RowIndex, SetIndex};
@@ -26,7 +27,7 @@ pub use rows::{ObservationSet, RepeatedTogether};
 pub use tie::{DeclaredTie, Tie};
 
 /// What an unknown belongs to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Owner {
     /// A parameter of the model.
@@ -40,7 +41,7 @@ pub enum Owner {
 }
 
 /// Something to be estimated.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Unknown {
     /// Name in results: `EXX[1]`, `table.facet[7].d`.
     pub name: String,

@@ -1,5 +1,6 @@
 //! Ties: several parameters of the machine that are one unknown, each times a factor: a common scale, mirrored errors.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::considered::candidates;
@@ -9,7 +10,7 @@ use abbe_results::Calibration;
 use abbe_settings::{Error, PathItem, Result, Unit, matches};
 
 /// What is declared of a tie: `EXX[1]: scale`, or `EYY[1]: { to: scale, factor: -1 }`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct DeclaredTie {
     /// The tied parameters: a name, or a pattern.
     pub pattern: String,
@@ -20,7 +21,7 @@ pub struct DeclaredTie {
 }
 
 /// An unknown that several parameters of the machine are, each times a factor.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Tie {
     /// Its name.
     pub name: String,

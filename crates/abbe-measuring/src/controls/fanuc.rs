@@ -3,24 +3,22 @@
 
 use abbe_core::{AxisKind, Error, ExportedFile, Result};
 
-use super::{Job, file, number, plain};
+use super::{Job, file, number};
+use crate::language::fanuc::{
+    STOPPED_MM, alarm, guarded, remark, skipped, stop, until_contact, was_stopped, zero_offset,
+};
+use crate::language::plain;
 use crate::programme::{Block, Positions, TouchBlock};
 
 /// Arguments of the macro call for X, Y and Z: the end of the touch, its beginning, the way back; with their local variables.
 const ARGUMENTS: [[(&str, u32); 3]; 3] =
     [[("X", 24), ("Y", 25), ("Z", 26)], [("U", 21), ("V", 22), ("W", 23)], [("Q", 17), ("R", 18), ("S", 19)]];
 
-/// A move that ends further than this from its end was stopped by the probe, mm.
-const STOPPED: f64 = 0.01;
-
 /// Variables that the programs use: misses one after the other, then where rotary axes stand.
 const MISSES: u32 = 140;
 
 /// Numbers of the programs.
 const MAIN: u32 = 9910;
-
-/// Length of an alarm's text that every control shows.
-const ALARM_TEXT: usize = 26;
 
 pub fn write(job: &Job<'_>) -> Result<Vec<ExportedFile>> {
     if let Some((_, axis)) = job.program.linear().find(|(_, axis)| !"XYZ".contains(&axis.letter)) {
@@ -30,14 +28,11 @@ pub fn write(job: &Job<'_>) -> Result<Vec<ExportedFile>> {
     let settings = job.settings;
     let program = if job.dry { MAIN + 2 } else { MAIN };
     let mut lines = vec!["%".to_owned(), format!("O{program:04}(ABBE {})", plain(job.name()).to_uppercase())];
-    lines.extend(job.introduction().iter().map(|line| format!("({})", plain(line).to_uppercase())));
+    lines.extend(job.introduction().iter().map(|line| remark(line)));
     let units = if job.in_inches() { "G20" } else { "G21" };
     lines.push(format!("{units} G17 G40 G49 G80 G90 G94"));
     lines.push(settings.work_offset.clone().unwrap_or_else(|| "G59".to_owned()));
-    for axis in 1..=3 {
-        let alarm = alarm(105, "work offset is not zero");
-        lines.push(format!("IF [ABS[#502{axis}-#504{axis}] GT 0.001] THEN {alarm}"));
-    }
+    lines.extend(zero_offset(&alarm(105, "work offset is not zero")));
     lines.push(format!("#{MISSES}=0"));
     if !job.dry {
         lines.push("POPEN".to_owned());
@@ -48,7 +43,7 @@ pub fn write(job: &Job<'_>) -> Result<Vec<ExportedFile>> {
         return Err(error.setting("spindle_deg").help("set the parameter, and write `spindle_deg: 0` here"));
     }
     lines.extend(settings.spindle_deg.map(|_| "M19".to_owned()));
-    lines.push("#3006=1(TIP CLEAR OF EVERYTHING)".to_owned());
+    lines.push(stop("tip clear of everything"));
     for block in &job.program.blocks {
         add(job, block, &mut lines)?;
     }
@@ -66,8 +61,8 @@ pub fn write(job: &Job<'_>) -> Result<Vec<ExportedFile>> {
 fn add(job: &Job<'_>, block: &Block, lines: &mut Vec<String>) -> Result<()> {
     let settings = job.settings;
     match block {
-        Block::Note(text) => lines.push(format!("({})", plain(text).to_uppercase())),
-        Block::Pause(text) => lines.push(format!("#3006=1({})", short(text))),
+        Block::Note(text) => lines.push(remark(text)),
+        Block::Pause(text) => lines.push(stop(text)),
         Block::Orient(_) => {
             return Err(Error::usage("`M19` has one angle only, and this plan orients the spindle"));
         }
@@ -77,13 +72,10 @@ fn add(job: &Job<'_>, block: &Block, lines: &mut Vec<String>) -> Result<()> {
             lines.push(format!("G1 {} F{}", job.words(positions, ""), number(settings.rotary_feed_deg_per_min)));
         }
         Block::Move(positions) => {
-            let feed = job.length(settings.positioning_feed_mm_per_min);
-            lines.push(format!("G31 {} F{feed}", job.words(positions, "")));
-            for (axis, place) in positions {
-                let stopped =
-                    format!("ABS[{}-[{}]] GT {}", skipped(job, *axis), job.place(*axis, *place), job.length(STOPPED));
-                lines.push(format!("IF [{stopped}] THEN {}", alarm(103, "obstacle on the way")));
-            }
+            let ends = |(axis, place): &(usize, f64)| (job.axis(*axis).letter.as_str(), job.place(*axis, *place));
+            let axes: Vec<(&str, String)> = positions.iter().map(ends).collect();
+            let [feed, stopped] = [settings.positioning_feed_mm_per_min, STOPPED_MM].map(|mm| job.length(mm));
+            lines.extend(guarded("G31", &axes, [&feed, &stopped], &alarm(103, "obstacle on the way")));
         }
         Block::Touch(TouchBlock { number: touch, approach, end, back, rotary }) => {
             for (index, (_, place)) in rotary.iter().enumerate() {
@@ -116,16 +108,16 @@ fn touch(job: &Job<'_>) -> Vec<String> {
     };
     let (end, beginning, back) = (words(&ARGUMENTS[0]), words(&ARGUMENTS[1]), words(&ARGUMENTS[2]));
     let fast = job.length(settings.positioning_feed_mm_per_min);
-    let stopped = job.length(STOPPED);
+    let stopped = job.length(STOPPED_MM);
     let attempts = settings.retries.get() + 1;
-    let probe =
-        |feed: f64| -> Vec<String> {
-            let mut lines = vec![format!("G31 {end} F{}", job.length(feed)), "#31=0".to_owned()];
-            lines.extend(used.iter().map(|place| {
-                format!("IF [ABS[#{}-#{}] GT {stopped}] THEN #31=1", 5061 + place, ARGUMENTS[0][*place].1)
-            }));
-            lines
-        };
+    let probe = |feed: f64| -> Vec<String> {
+        let mut lines = vec![until_contact("G31", &end, &job.length(feed)), "#31=0".to_owned()];
+        lines.extend(used.iter().map(|place| {
+            let skipped = format!("#{}", 5061 + place);
+            format!("IF {} THEN #31=1", was_stopped(&skipped, &format!("#{}", ARGUMENTS[0][*place].1), &stopped))
+        }));
+        lines
+    };
     let mut lines = vec![format!("O{:04}(ABBE TOUCH)", MAIN + 1), "#30=0".to_owned()];
     lines.push(format!("WHILE [#30 LT {attempts}] DO1"));
     if let Some(search) = settings.search_feed_mm_per_min {
@@ -156,9 +148,9 @@ fn touch(job: &Job<'_>) -> Vec<String> {
 /// The line of a hit: trigger positions of linear axes, and where rotary axes stand.
 fn logged(job: &Job<'_>) -> String {
     let mut line = "DPRNT[T#1[60]*R#2[20]*H1".to_owned();
-    for (axis, control) in job.program.linear() {
+    for (_, control) in job.program.linear() {
         let format = if job.in_inches() { "[35]" } else { "[44]" };
-        line.push_str(&format!("*{}{}{format}", control.letter, skipped(job, axis)));
+        line.push_str(&format!("*{}{}{format}", control.letter, skipped(&control.letter).unwrap_or_default()));
     }
     let rotary = job.program.axes.iter().filter(|axis| axis.kind == AxisKind::Rotary);
     for (index, control) in rotary.enumerate().filter(|(_, axis)| !axis.is_spindle()) {
@@ -167,18 +159,4 @@ fn logged(job: &Job<'_>) -> String {
     line.push_str(&format!("*F{}*K#32[73]", job.length(job.settings.measuring_feed_mm_per_min)));
     line.push_str(job.settings.temperature.as_ref().map_or("]", |_| "*J#33[42]]"));
     line
-}
-
-/// The variable with the skip position of an axis.
-fn skipped(job: &Job<'_>, axis: usize) -> String {
-    format!("#{}", 5061 + "XYZ".find(&job.axis(axis).letter).unwrap_or_default())
-}
-
-fn alarm(number: u32, text: &str) -> String {
-    format!("#3000={number}({})", short(text))
-}
-
-fn short(text: &str) -> String {
-    let text: String = plain(text).to_uppercase().chars().take(ALARM_TEXT).collect();
-    text.trim_end().to_owned()
 }

@@ -3,7 +3,8 @@
 
 use abbe_core::{Error, ExportedFile, Result};
 
-use super::{Job, file, number, plain};
+use super::{Job, file, number};
+use crate::language::plain;
 use crate::programme::{Block, TouchBlock};
 
 /// Folder of programs and masks on the control.

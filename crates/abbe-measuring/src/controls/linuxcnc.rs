@@ -2,7 +2,8 @@
 
 use abbe_core::{AxisKind, Error, ExportedFile, Result};
 
-use super::{Job, file, number, plain};
+use super::{Job, file, number};
+use crate::language::plain;
 use crate::programme::{Block, ControlAxis, TouchBlock};
 
 /// Work offsets with the number of the variable of their X.

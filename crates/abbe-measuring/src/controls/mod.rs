@@ -8,6 +8,7 @@ mod siemens;
 
 use abbe_core::{AxisKind, ExportedFile, Result};
 
+use crate::language;
 use crate::programme::{ControlAxis, Positions, Programme};
 use crate::settings::{Control, Measuring, Units};
 
@@ -56,7 +57,7 @@ impl Job<'_> {
 
     /// A length, or a feed of linear axes, in the unit of the program.
     fn length(&self, mm: f64) -> String {
-        trimmed(mm / self.unit(), self.decimals())
+        language::number(mm / self.unit(), self.decimals())
     }
 
     /// A position of an axis in the unit of the program.
@@ -115,22 +116,7 @@ impl Job<'_> {
 
 /// A number with at most four decimals, and at least one.
 fn number(value: f64) -> String {
-    trimmed(value, 4)
-}
-
-/// A number with at most so many decimals, and at least one.
-fn trimmed(value: f64, decimals: usize) -> String {
-    let text = format!("{value:.decimals$}");
-    let text = text.trim_end_matches('0');
-    let text = if text.ends_with('.') { format!("{text}0") } else { text.to_owned() };
-    if text == "-0.0" { "0.0".to_owned() } else { text }
-}
-
-/// Text in letters that every control shows: letters, digits and few signs.
-fn plain(text: &str) -> String {
-    text.chars()
-        .map(|letter| if letter.is_ascii_alphanumeric() || " +-.,:".contains(letter) { letter } else { ' ' })
-        .collect()
+    language::number(value, 4)
 }
 
 fn file(name: String, lines: &[String]) -> ExportedFile {

@@ -3,8 +3,12 @@
 
 use abbe_core::{ExportedFile, Result};
 
-use super::{Job, file, number, plain};
+use super::{Job, file, number};
+use crate::language::siemens::{self, alarm, measured, remark, stop, to, touched, until_contact};
 use crate::programme::{Block, TouchBlock};
+
+/// The measuring input of the probe.
+const INPUT: u32 = 1;
 
 /// The R parameter that counts misses one after the other.
 const MISSES: &str = "R990";
@@ -14,7 +18,7 @@ const CLOCK: &str = "$A_DAY*86400+$A_HOUR*3600+$A_MINUTE*60+$A_SECOND";
 
 pub fn write(job: &Job<'_>) -> Result<Vec<ExportedFile>> {
     let settings = job.settings;
-    let mut lines: Vec<String> = job.introduction().iter().map(|line| format!("; {}", plain(line))).collect();
+    let mut lines: Vec<String> = job.introduction().iter().map(|line| remark(line)).collect();
     if !job.dry {
         let reals = vec!["REAL"; 3 * job.program.linear().count()];
         lines.push(format!("EXTERN ABBE_TOUCH(INT,INT,{})", reals.join(",")));
@@ -27,7 +31,7 @@ pub fn write(job: &Job<'_>) -> Result<Vec<ExportedFile>> {
         lines.extend(job.header("SIEMENS").iter().map(|line| written(job, &format!("\"{line}\""))));
     }
     lines.extend(settings.spindle_deg.map(|angle| format!("SPOS={}", number(angle))));
-    lines.extend(["MSG(\"Tip clear of everything?\")".to_owned(), "M0".to_owned()]);
+    lines.extend(stop("Tip clear of everything"));
     for block in &job.program.blocks {
         add(job, block, &mut lines);
     }
@@ -47,18 +51,17 @@ pub fn write(job: &Job<'_>) -> Result<Vec<ExportedFile>> {
 fn add(job: &Job<'_>, block: &Block, lines: &mut Vec<String>) {
     let settings = job.settings;
     match block {
-        Block::Note(text) => lines.push(format!("; {}", plain(text))),
-        Block::Pause(text) => lines.extend([format!("MSG(\"{}\")", plain(text)), "M0".to_owned()]),
+        Block::Note(text) => lines.push(remark(text)),
+        Block::Pause(text) => lines.extend(stop(text)),
         Block::Orient(angle) => lines.push(format!("SPOS={}", number(*angle))),
         // Seconds; the feed of moves stays.
         Block::Settle(seconds) => lines.push(format!("G4 F{}", number(*seconds))),
         Block::Swing(positions) => {
-            let feed = number(settings.rotary_feed_deg_per_min);
-            lines.push(format!("G1 SUPA {} F{feed}", job.words(positions, "=")));
+            lines.push(to(&job.words(positions, "="), &number(settings.rotary_feed_deg_per_min)));
         }
         Block::Move(positions) => {
             let feed = job.length(settings.positioning_feed_mm_per_min);
-            lines.push(format!("MEAS=1 G1 SUPA {} F{feed}", job.words(positions, "=")));
+            lines.push(until_contact(INPUT, &job.words(positions, "="), &feed));
             lines.push("ABBE_WATCH".to_owned());
         }
         Block::Touch(TouchBlock { number: touch, approach, end, back, .. }) => {
@@ -76,19 +79,11 @@ fn written(job: &Job<'_>, text: &str) -> String {
     format!("WRITE(_ERR,\"{}\",{text})", job.settings.log.as_deref().unwrap_or("ABBE_LOG"))
 }
 
-/// An alarm out of which only reset leads.
-fn alarm(number: u32, text: &str) -> Vec<String> {
-    let lines = ["STOPRE", "; ONLY RESET LEADS OUT OF HERE", "LOOP", "M0", "ENDLOOP"].map(str::to_owned);
-    let mut all = vec![format!("MSG(\"{text}\")"), format!("SETAL({number})")];
-    all.extend(lines);
-    all
-}
-
 /// Looks whether a move was stopped by the probe.
 fn watch() -> Vec<String> {
-    let mut lines = vec!["PROC ABBE_WATCH".to_owned(), "STOPRE".to_owned(), "IF $AC_MEA[1]>=1".to_owned()];
-    lines.extend(alarm(65010, "The probe met something on its way"));
-    lines.extend(["ENDIF".to_owned(), "M17".to_owned()]);
+    let mut lines = vec!["PROC ABBE_WATCH".to_owned()];
+    lines.extend(siemens::watch(INPUT, 65010, "The probe met something on its way"));
+    lines.push("M17".to_owned());
     lines
 }
 
@@ -104,7 +99,7 @@ fn touch(job: &Job<'_>) -> Vec<String> {
     let fast = job.length(settings.positioning_feed_mm_per_min);
     let attempts = settings.retries.get() + 1;
     let probe = |feed: f64| {
-        [format!("MEAS=1 G1 SUPA {end} F{}", job.length(feed)), "STOPRE".to_owned(), "_HIT=$AC_MEA[1]".to_owned()]
+        [until_contact(INPUT, &end, &job.length(feed)), "STOPRE".to_owned(), format!("_HIT={}", touched(INPUT))]
     };
     let mut lines = vec![
         format!("PROC ABBE_TOUCH(INT _T,INT _R,{})", parameters.join(",")),
@@ -118,7 +113,7 @@ fn touch(job: &Job<'_>) -> Vec<String> {
     if let Some(search) = settings.search_feed_mm_per_min {
         lines.extend(probe(search));
         lines.push("IF _HIT>=1".to_owned());
-        lines.push(format!("G1 SUPA {back} F{fast}"));
+        lines.push(to(&back, &fast));
         lines.extend(probe(settings.measuring_feed_mm_per_min));
         lines.push("ENDIF".to_owned());
     } else {
@@ -133,14 +128,14 @@ fn touch(job: &Job<'_>) -> Vec<String> {
     lines.extend([
         "_TRIED=_TRIED+1".to_owned(),
         "ENDIF".to_owned(),
-        format!("G1 SUPA {beginning} F{fast}"),
+        to(&beginning, &fast),
         "ENDWHILE".to_owned(),
         "IF _HIT<1".to_owned(),
         format!("{MISSES}={MISSES}+1"),
         "ENDIF".to_owned(),
         format!("IF {MISSES}>={}", settings.misses.get()),
     ]);
-    lines.extend(alarm(65011, "Too many misses: is the artefact where the plan has it?"));
+    lines.extend(alarm(65011, "Too many misses: is the artefact where the plan has it"));
     lines.extend(["ENDIF".to_owned(), "M17".to_owned()]);
     lines
 }
@@ -150,7 +145,7 @@ fn logged(job: &Job<'_>) -> String {
     let mut text = "\"T\"<<_T<<\" R\"<<_R<<\" H1\"".to_owned();
     let mut add = |letter: &str, value: String| text.push_str(&format!("<<\" {letter}\"<<{value}"));
     job.program.linear().for_each(|(_, axis)| {
-        add(&axis.letter, format!("ROUND($AA_MM[{}]*{steps})/{steps}", axis.letter));
+        add(&axis.letter, format!("ROUND({}*{steps})/{steps}", measured(&axis.letter)));
     });
     job.program.rotary().for_each(|(_, axis)| {
         add(&axis.letter, format!("ROUND($AA_IM[{}]*10000)/10000", axis.letter));

@@ -3,7 +3,7 @@
 use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::path::Path;
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::{Arc, Mutex};
 
 use abbe_core::{Context, Error, Kind, Result};
 
@@ -29,7 +29,7 @@ pub fn serve(path: &Path, sha256: &str, allowance: &Allowance) -> Result<()> {
         words: None,
         who: "the program".to_owned(),
         time: Time::unlimited(),
-        lost: OnceLock::new(),
+        lost: Arc::default(),
     });
     let library = hashed(path, Some(sha256)).and_then(|hashed| hashed.sealed(path)).and_then(|sealed| {
         confine(allowance).map_err(|what| Error::data(format!("an isolated plugin cannot be confined: {what}")))?;
