@@ -96,7 +96,8 @@ fn named(field: &Field) -> Result<(ColumnHeader, Option<Unit>)> {
     let name = field.name.trim();
     let header = ColumnHeader::parse(name);
     let Some(symbol) = stated(field) else { return Ok((header, None)) };
-    if !matches!(header.quantity, Quantity::Label | Quantity::Ratio) {
+    // A name may end in its unit: `scale_um_per_m` is a ratio as `dir_X` is, which has none.
+    if header.name != name || !matches!(header.quantity, Quantity::Label | Quantity::Ratio) {
         let unit = unit_of(&header, None, field)?;
         return Ok((header, unit));
     }

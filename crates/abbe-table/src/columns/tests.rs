@@ -56,6 +56,9 @@ fn units_stand_in_names_or_beside_them() {
         ("T", "degF", "T_degC", (2.0 - 32.0) * (5.0 / 9.0)),
         ("T", "°C", "T_degC", 2.0),
         ("scale", "um/m", "scale_um_per_m", 2e-6),
+        ("scale_um_per_m", "um/m", "scale_um_per_m", 2e-6),
+        ("scale_um_per_m", "µm/m", "scale_um_per_m", 2e-6),
+        ("scale_um_per_m", "", "scale_um_per_m", 2e-6),
         ("a", "1/K", "a_per_K", 2.0),
         ("feed", "mm/min", "feed_mm_per_min", 2.0 / 60.0),
         ("nx", "1", "nx", 2.0),
@@ -69,6 +72,7 @@ fn units_stand_in_names_or_beside_them() {
     for (name, unit, expected) in [
         ("X_mm", "um", "the file says that `X_mm` is in `um`, and its name says another unit"),
         ("X_mm", "deg", "is in `deg`, which is no unit of `X_mm`"),
+        ("scale_um_per_m", "mm", "is in `mm`, which is no unit of `scale_um_per_m`"),
         ("X", "furlong", "is in `furlong`, which is no known unit"),
         ("ratio", "%", "its name is not one of a number without a unit"),
     ] {

@@ -17,10 +17,11 @@ use super::Format::ArrowIpc;
 use super::built::{Growing, fields};
 use super::guard::broken;
 
-/// What a file begins and ends with; the beginning has two zeros more.
+/// What a file begins and ends with. Zeros follow at the beginning, so that the stream begins at a multiple of 8; some writers add
+/// more of them.
 const MARK: &[u8] = b"ARROW1";
 
-/// Bytes of the beginning of a file.
+/// Bytes of the beginning of a file, if no more zeros follow than have to.
 const BEGIN: usize = 8;
 
 /// What stands before the length of a part, since version 0.15 of the format.
@@ -82,7 +83,13 @@ const NO_SCHEMA: &str = "it does not describe its columns";
 
 /// Where the stream begins.
 fn begin(bytes: &[u8]) -> usize {
-    if bytes.starts_with(MARK) { BEGIN.min(bytes.len()) } else { 0 }
+    if !bytes.starts_with(MARK) {
+        return 0;
+    }
+    let begin = BEGIN.min(bytes.len());
+    // No part begins with 8 zeros: its length and its description follow each other.
+    let zeros = bytes[begin..].chunks_exact(8).take_while(|bytes| bytes.iter().all(|byte| *byte == 0)).count();
+    begin + 8 * zeros
 }
 
 /// A part of a stream, by its end.

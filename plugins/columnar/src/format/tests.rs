@@ -11,8 +11,8 @@ use arrow_array::{
     Array, ArrayRef, BooleanArray, Date32Array, Decimal128Array, DictionaryArray, Float32Array, Float64Array,
     Int32Array, Int64Array, LargeStringArray, RecordBatch, StringArray, StringViewArray, UInt8Array,
 };
-use arrow_ipc::CompressionType;
 use arrow_ipc::writer::{FileWriter, IpcWriteOptions, StreamWriter};
+use arrow_ipc::{CompressionType, MetadataVersion};
 use arrow_schema::{Field, Schema};
 use parquet::arrow::ArrowWriter;
 use parquet::basic::{Compression, GzipLevel, ZstdLevel};
@@ -181,7 +181,14 @@ impl Tried {
 
     fn arrow_ipc(&self, random: &mut Random) -> Vec<u8> {
         let packed = [None, Some(CompressionType::LZ4_FRAME), Some(CompressionType::ZSTD)][random.below(3)];
-        let options = IpcWriteOptions::default().try_with_compression(packed).unwrap();
+        // Before version 0.15 of the format, nothing but the length stood before a part.
+        let (version, is_old) = match packed.is_none() && random.next() % 3 == 0 {
+            true => (MetadataVersion::V4, random.next() % 2 == 0),
+            false => (MetadataVersion::V5, false),
+        };
+        let alignment = [8, 16, 64][random.below(3)];
+        let options = IpcWriteOptions::try_new(alignment, is_old, version).unwrap();
+        let options = options.try_with_compression(packed).unwrap();
         let batch = self.batch();
         let size = 1 + random.below(batch.num_rows());
         let parts: Vec<RecordBatch> = (0..batch.num_rows())
@@ -272,7 +279,7 @@ fn a_table_means_what_it_means_in_csv() {
 fn broken_files_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let (mut refused, mut taken) = (0, 0);
-    for seed in 0..40 {
+    for seed in 0..20 {
         let random = &mut Random(1000 + seed);
         let tried = tried(random, false);
         for format in FORMATS {
@@ -303,7 +310,7 @@ fn broken_files_are_refused() {
             }
         }
     }
-    assert!(refused > 500 && taken > 50, "{refused} refused, {taken} taken");
+    assert!(refused > 250 && taken > 25, "{refused} refused, {taken} taken");
 }
 
 #[test]
