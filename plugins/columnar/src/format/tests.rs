@@ -375,3 +375,26 @@ fn a_few_bytes_do_not_become_gigabytes() {
         assert!(error.contains("content has more than 64 MiB"), "{error}");
     }
 }
+
+/// The files that inputs for the readers are made from: one table, written by the Python package pyarrow in six ways.
+#[test]
+fn files_of_another_implementation_are_read() {
+    let seeds = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fuzz/seeds");
+    let mut count = 0;
+    for (format, folder) in [(Format::Parquet, "parquet"), (Format::ArrowIpc, "arrow-ipc")] {
+        for file in std::fs::read_dir(seeds.join(folder)).unwrap() {
+            let file = file.unwrap().path();
+            let layout = Layout { no_data: vec![String::new()], ..Layout::default() };
+            let (data, left_out) = built::read(format, &file, &layout).unwrap_or_else(|error| panic!("{error}"));
+            // A number of the third row is missing.
+            assert_eq!((data.origins.iter().map(|origin| origin.row).collect(), left_out), (vec![1, 2, 4], 1));
+            assert_eq!(data.numbers("X").unwrap(), [1.5, 2.5, -4.25], "{}", file.display());
+            assert_eq!(data.numbers("B").unwrap(), [30.0, 60.0, -90.0].map(f64::to_radians), "{}", file.display());
+            assert_eq!(data.numbers("dir_X").unwrap(), [1.0, -1.0, -1.0], "{}", file.display());
+            assert_eq!(data.labels("feature").unwrap(), ["a", "b", "a"], "{}", file.display());
+            assert_eq!(data.labels("touch").unwrap(), ["1", "2", "4"], "{}", file.display());
+            count += 1;
+        }
+    }
+    assert_eq!(count, 6);
+}
