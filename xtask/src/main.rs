@@ -58,7 +58,8 @@ fn main() -> ExitCode {
             run(tests)
         }
         ["fuzz", "--executions", count, "--seed", seed, targets @ ..] if targets.len() < 2 => {
-            let mut campaign = cargo(&["run", "--locked", "--package", "abbe-campaigns", "--", "fuzz", count, seed]);
+            let program = ["run", "--locked", "--package", "abbe-campaigns", "--features", "parquet"];
+            let mut campaign = cargo(&[&program[..], &["--", "fuzz", count, seed]].concat());
             campaign.args(targets);
             run(campaign)
         }

@@ -209,7 +209,7 @@ impl Prepared {
             }
             for fit in named(stage.reference("of"), fits) {
                 let exporter = &self.exporters[&stage.name];
-                let files = self.located(stage, exporter.export(&fit.calibration, fit.problem.model.as_ref()));
+                let files = self.located(stage, exporter.export_fit(fit));
                 exports.extend(unless_failed(stage, files, failures)?.map(|files| (stage.name.clone(), files)));
             }
         }
