@@ -54,6 +54,7 @@
 //! parallel feature is off), because its results would otherwise depend on the number of cores.
 
 mod accumulate;
+mod channels;
 mod coverage;
 mod design;
 mod directions;
@@ -69,6 +70,7 @@ mod selection;
 mod significance;
 mod vector;
 
+pub use channels::{Channel, ClippedEnd, InstrumentFault, clipped_ends, instrument_faults, repeats_are_copies};
 pub use accumulate::Accumulator;
 pub use coverage::{
     binomial_band, chi_squared_quantile, chi_squared_upper_tail, coverage_factor, effective_degrees_of_freedom,
