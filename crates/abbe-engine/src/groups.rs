@@ -10,6 +10,7 @@ use abbe_recipe::Stage;
 
 use crate::evidence::{Digests, of_problem};
 use crate::outcome::Failure;
+use crate::plausibility::EXACT;
 use crate::prepare::Prepared;
 use crate::record::Remark;
 use crate::run::{Datasets, Taken};
@@ -119,9 +120,6 @@ impl Prepared {
         problems.iter().zip(in_parallel(problems, None, fit)).map(failed).collect()
     }
 }
-
-/// The scatter of residuals below which data are exact, and tests repeat to the last digit.
-const EXACT: f64 = 0.01;
 
 impl Prepared {
     /// Rows of one group that are those of another one to the last digit: a test that was not made.

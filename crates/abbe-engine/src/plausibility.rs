@@ -40,8 +40,8 @@ fn of_statements(fit: &Fit) -> Vec<Error> {
     errors
 }
 
-/// The scatter of residuals below which data are exact.
-const EXACT: f64 = 0.01;
+/// The scatter of residuals below which data are exact: they repeat to the last digit.
+pub(crate) const EXACT: f64 = 0.01;
 
 /// Channels that no working instrument has.
 fn of_instruments(fit: &Fit) -> Vec<Error> {

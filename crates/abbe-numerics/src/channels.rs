@@ -216,9 +216,10 @@ pub fn clipped_ends(readings: &[f64]) -> Vec<ClippedEnd> {
     [true, false].into_iter().filter_map(end).collect()
 }
 
-/// Fewest equal rows one after the other that are told, and how many times as many they are as those of another value.
+/// Fewest equal rows one after the other that are told, and how many times as many they are as those of another value. A smooth signal
+/// stands 4.8 times as long at its extreme as at the values beside it.
 const STANDS: usize = 8;
-const AS_LONG: usize = 5;
+const AS_LONG: usize = 6;
 
 /// Probability below which readings do not stand by chance.
 const BY_CHANCE: f64 = 1e-6;

@@ -117,13 +117,13 @@ impl VerifyCut {
         let planned = || points.data.row_indices().zip(allowances).filter(|(_, allowance)| **allowance > 0.0);
         let Some((row, least)) = planned().min_by(|one, other| one.1.total_cmp(other.1)) else { return Ok(()) };
         let (label, tolerance) = (&points.list[row.0].label, self.settings.tolerance_um.value);
-        if tolerance < 1e3 * least {
+        let least = (1e9 * least).round() / 1e6;
+        if tolerance < least {
             return Ok(());
         }
         let message = format!(
-            "{tolerance} um: a tolerance below the stock that is planned, {} um at point {label}, was expected: with this one a cut below \
-             the finished surface passes",
-            1e3 * least
+            "{tolerance} um: a tolerance below the stock that is planned, {least} um at point {label}, was expected: with this one a cut below \
+             the finished surface passes"
         );
         Err(Error::usage(message).setting("tolerance_um").help("is it in micrometres, and `stock_mm` in millimetres?"))
     }

@@ -84,7 +84,7 @@ impl Log<'_> {
             }
             for (place, (session, values)) in visits.iter().enumerate() {
                 if let Some((earlier, _)) = visits[..place].iter().find(|(_, others)| others == values) {
-                    copied.entry(tool).or_insert((*session, *earlier, 0)).2 += values.len();
+                    copied.entry(*tool).or_insert((*session, *earlier, 0)).2 += values.len();
                 }
             }
         }
