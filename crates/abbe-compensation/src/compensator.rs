@@ -177,7 +177,7 @@ impl<'a> Compensator<'a> {
             let mut has_moved = false;
             for (point, status) in statuses.chunks_mut(width).enumerate() {
                 let lacks = deviation(&now, &goal, point);
-                if states[point].is_settled() || states[point].is_there(&lacks) {
+                if states[point].is_settled() || self.rotary.is_empty() && states[point].is_there(&lacks) {
                     states[point] = State::Settled;
                     continue;
                 }
@@ -283,7 +283,7 @@ impl<'a> Compensator<'a> {
                 correction.held.push(axis);
             }
         }
-        if largest < SETTLED {
+        if largest < SETTLED || state.is_there(lacks) {
             *state = State::Settled;
         }
     }

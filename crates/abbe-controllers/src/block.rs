@@ -77,8 +77,12 @@ impl<'a> Reader<'a> {
             self.mark = Some(String::from_utf8_lossy(&text[start..]).trim_end_matches([')', ' ', '\r']).to_owned());
             return Ok(Action::Copy(None));
         }
+        if let Some(column) = text.iter().position(|byte| *byte == b'\r') {
+            let what = "a carriage return inside a line, where some controls end the block";
+            return Err(Refusal::new(column, "", what, "write each block on a line of its own: LF, or CR LF"));
+        }
         if self.has_ended {
-            return Ok(Action::Copy(None));
+            return self.after_end(text);
         }
         if self.klartext.is_some() {
             return self.klartext_line(text);
@@ -88,7 +92,16 @@ impl<'a> Reader<'a> {
             return Ok(Action::Copy(None));
         }
         if let Some(column) = line.optional {
-            match self.options.block_delete {
+            match self.options.block_delete.or(self.options.dialect.always_runs_optional_blocks().then_some(false)) {
+                Some(true) if self.options.dialect.always_runs_optional_blocks() => {
+                    let help = "leave out `--block-delete on`, or take these blocks out of the program";
+                    return Err(Refusal::new(
+                        column,
+                        "/",
+                        "a block that this control runs whatever a switch says",
+                        help,
+                    ));
+                }
                 Some(true) => return Ok(Action::Copy(None)),
                 Some(false) => {}
                 None => {
@@ -105,6 +118,31 @@ impl<'a> Reader<'a> {
         let said = self.modal.carry_out(&line, self.options, self.build)?;
         self.has_ended = said.is_end;
         self.act(line, said)
+    }
+
+    /// What stands after the end: LinuxCNC reads no more of it; other controls may go on with another program.
+    fn after_end(&self, text: &[u8]) -> Result<Action, Refusal> {
+        let dialect = self.options.dialect;
+        let found = match dialect {
+            Dialect::Linuxcnc | Dialect::Heidenhain => Ok(Line::default()),
+            _ => lexer::line(text, dialect),
+        };
+        let column = match found {
+            Ok(line) => line.words.first().map(|word| word.span.start),
+            Err(refusal) => Some(refusal.column),
+        };
+        match column {
+            Some(column) => {
+                let help = "correct each program in a file of its own";
+                Err(Refusal::new(
+                    column,
+                    "",
+                    "a block after the end of the program: another program, or a subprogram",
+                    help,
+                ))
+            }
+            None => Ok(Action::Copy(None)),
+        }
     }
 
     fn klartext_line(&mut self, text: &[u8]) -> Result<Action, Refusal> {

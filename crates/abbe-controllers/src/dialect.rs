@@ -52,6 +52,11 @@ impl Dialect {
         !self.is_siemens()
     }
 
+    /// Whether blocks with `/` run always: grbl has no switch for them.
+    pub(crate) fn always_runs_optional_blocks(self) -> bool {
+        self == Self::Grbl
+    }
+
     pub(crate) fn has_blanks_in_numbers(self) -> bool {
         matches!(self, Self::Linuxcnc | Self::Grbl)
     }
@@ -261,7 +266,9 @@ const CODES: &[Code] = &[
     Code(740, S, 0, Home),
     Code(750, S, 0, Home),
     Code(760, L | F, 1, CYCLE),
-    Code(800, L | I | F | G, 1, Keep),
+    // A group of its own on Fanuc's controls: `G0 G17 G40 G80` is a usual head.
+    Code(800, L | G, 1, Keep),
+    Code(800, I | F, 9, Keep),
     Code(810, L | I | F, 1, CYCLE),
     Code(820, L | I | F, 1, CYCLE),
     Code(830, L | I | F, 1, CYCLE),

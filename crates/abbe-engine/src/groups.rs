@@ -200,7 +200,13 @@ pub fn day_of(label: &str) -> Option<f64> {
     let mut parts = label.split('-');
     let mut next = |digits: usize| parts.next().filter(|part| part.len() == digits)?.parse::<i64>().ok();
     let (year, month, day) = (next(4)?, next(2)?, next(2)?);
-    if parts.next().is_some() || !(1..=12).contains(&month) || !(1..=31).contains(&day) {
+    let is_leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
+    let days = match month {
+        2 => 28 + i64::from(is_leap),
+        4 | 6 | 9 | 11 => 30,
+        _ => 31,
+    };
+    if parts.next().is_some() || !(1..=12).contains(&month) || !(1..=days).contains(&day) {
         return None;
     }
     let year = if month <= 2 { year - 1 } else { year };
@@ -213,6 +219,14 @@ pub fn day_of(label: &str) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn dates_that_do_not_exist_are_no_days() {
+        for date in ["2026-02-29", "2026-02-31", "2100-02-29", "2026-04-31", "2026-13-01", "2026-00-10", "2026-01-00"] {
+            assert_eq!(day_of(date), None, "{date}");
+        }
+        assert_eq!((day_of("2000-02-29"), day_of("2024-02-29")), (Some(11_016.0), Some(19_782.0)));
+    }
 
     #[test]
     fn groups_have_times() {

@@ -11,7 +11,7 @@ use abbe_compensation::{Settings, Temperatures, check_confounded_anywhere};
 use abbe_controllers::{
     Checked, Coordinates, Dialect, Machine, Options, Summary, Tools, check, compensate, mark, place,
 };
-use abbe_core::{Calibration, Error, Registry, Result, machine_values};
+use abbe_core::{Calibration, Error, Quantity, Registry, Result, machine_values};
 use abbe_engine::{model_with_log, temporary_file};
 use abbe_files::{LARGEST_RESULT, read_text};
 use abbe_report::number::short;
@@ -66,6 +66,10 @@ pub struct ProgramOptions {
     /// the program names them.
     #[arg(long, value_enum, requires = "dialect", default_value = "moves")]
     tool_change: ToolChange,
+    /// What errors depend on and no program tells, as it is while the program runs: `load_N=3500`. The name is that of the data column,
+    /// with its unit. May be repeated.
+    #[arg(long, value_name = "NAME=VALUE", value_parser = constant, requires = "dialect", allow_hyphen_values = true)]
+    constant: Vec<(String, (Quantity, f64))>,
     /// Let LinuxCNC's own interpreter, `rs274`, write out subprograms, loops, variables and cycles first. Comments are lost then, and
     /// positions have 0.1 µm.
     #[arg(long, requires = "dialect")]
@@ -135,6 +139,15 @@ fn offset(text: &str) -> std::result::Result<(usize, Positions), String> {
     let system = SYSTEMS.iter().position(|system| system.eq_ignore_ascii_case(name.trim()));
     let system = system.ok_or("a work offset, G54 to G59.3, was expected before `=`")?;
     Ok((system, positions(values)?))
+}
+
+/// `load_N=3500`: the name of a status, its quantity, and its value in the units of memory.
+fn constant(text: &str) -> std::result::Result<(String, (Quantity, f64)), String> {
+    let expected = || "the name of a column with its unit and a number were expected: `load_N=3500`".to_owned();
+    let (header, value) = text.split_once('=').ok_or_else(expected)?;
+    let value = value.trim().parse::<f64>().ok().filter(|value| value.is_finite()).ok_or_else(expected)?;
+    let (name, quantity, factor) = Quantity::of_column(header.trim());
+    Ok((name.to_owned(), (quantity, value * factor)))
 }
 
 /// A program to correct: what was asked, with the calibration.
@@ -305,7 +318,9 @@ impl Asked<'_> {
             _ => known.model.clone(),
         };
         let values = machine_values(model.as_ref(), &known.calibration);
-        Machine::new(model, values, self.settings.clone(), length.or(own).unwrap_or(0.0), known.time)
+        let constants: BTreeMap<String, (Quantity, f64)> = self.options.constant.iter().cloned().collect();
+        let length = length.or(own).unwrap_or(0.0);
+        Machine::with_constants(model, values, self.settings.clone(), length, known.time, &constants)
     }
 
     fn text(&self, summary: Option<&Summary>, checked: Option<&Checked>, options: &Options) -> String {
