@@ -36,7 +36,12 @@ fn cells(file: &Path, column: &str) -> Vec<String> {
 
 fn remarks(outcome: &Outcome, stage: &str) -> String {
     assert!(outcome.failures.is_empty(), "{:?}", outcome.failures.first().map(|failure| &failure.error));
-    outcome.verdicts.iter().filter(|verdict| verdict.stage == stage).flat_map(|verdict| verdict.remarks.clone()).collect()
+    outcome
+        .verdicts
+        .iter()
+        .filter(|verdict| verdict.stage == stage)
+        .flat_map(|verdict| verdict.remarks.clone())
+        .collect()
 }
 
 fn decision(outcome: &Outcome, stage: &str) -> Decision {
@@ -46,7 +51,8 @@ fn decision(outcome: &Outcome, stage: &str) -> Decision {
 /// What a run says in its JSON, whatever its status.
 fn said(recipe: &Variant, folder: &Path) -> String {
     let (file, out) = (recipe.write(folder), folder.join("out"));
-    let printed = abbe(folder, &["run".as_ref(), file.as_os_str(), "--json".as_ref(), "--out".as_ref(), out.as_os_str()]);
+    let printed =
+        abbe(folder, &["run".as_ref(), file.as_os_str(), "--json".as_ref(), "--out".as_ref(), out.as_os_str()]);
     format!("{}\n{}", printed.stdout, printed.stderr)
 }
 
@@ -54,11 +60,7 @@ const FAULTS: [&str; 5] =
     ["was it connected?", "transducer read twice?", "at the end of its range?", "did it stick?", "are they copies"];
 
 /// A test of a standard whose readings are changed is told and decides nothing; as it was it says nothing.
-fn told_and_undecided(
-    (name, judge): (&str, &str),
-    changes: &[((&str, &str), Change<'_>)],
-    word: &str,
-) {
+fn told_and_undecided((name, judge): (&str, &str), changes: &[((&str, &str), Change<'_>)], word: &str) {
     let folder = temporary();
     let mut recipe = Variant::of(&recipes()[name]);
     let good = remarks(&recipe.run(), judge);
@@ -252,7 +254,10 @@ fn a_tolerance_beyond_the_stock_is_refused_and_missing_stock_told() {
     };
     let outcome = recipe(0.3, 1000.0).run();
     let errors: Vec<String> = outcome.failures.iter().map(|failure| failure.error.to_string()).collect();
-    assert!(errors.iter().any(|error| error.contains("a tolerance below the stock that is planned, 300 um")), "{errors:?}");
+    assert!(
+        errors.iter().any(|error| error.contains("a tolerance below the stock that is planned, 300 um")),
+        "{errors:?}"
+    );
     // Without stock planned the surface is the finished one, and both signs are possible.
     let outcome = recipe(0.0, 1000.0).run();
     assert!(remarks(&outcome, "cut").contains("below the finished surface"), "{}", remarks(&outcome, "cut"));
@@ -321,7 +326,8 @@ fn good_readings_of_other_seeds_say_nothing() {
             let step = [0.01, 0.1, 0.5, 1.0][seed as usize % 4];
             for (place, ingest) in ingests.iter().enumerate() {
                 for (other, column) in columns.iter().enumerate() {
-                    let random = std::cell::RefCell::new(Random::new(1 + 100 * seed + 10 * place as u64 + other as u64));
+                    let random =
+                        std::cell::RefCell::new(Random::new(1 + 100 * seed + 10 * place as u64 + other as u64));
                     let noisy: Change<'_> = &|_, cell| {
                         let value = number(cell) + 0.3 * random.borrow_mut().normal();
                         format!("{}", (value / step).round() * step)

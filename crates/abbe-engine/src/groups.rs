@@ -123,7 +123,7 @@ impl Prepared {
 
 impl Prepared {
     /// Rows of one group that are those of another one to the last digit: a test that was not made.
-    pub(crate) fn copied_groups(&self, fits: &[Fit], data: &Datasets) -> Vec<Remark> {
+    pub(crate) fn copied_groups(&self, fits: &[Fit], problems: &BTreeMap<String, Problem>) -> Vec<Remark> {
         let mut remarks = Vec::new();
         for stage in self.stages(Kind::Estimate).filter(|stage| stage.per.is_some()) {
             let own: Vec<&Fit> = fits.iter().filter(|fit| is_of(fit, &stage.name)).collect();
@@ -132,9 +132,10 @@ impl Prepared {
             if is_exact || own.iter().any(|fit| !copied(&fit.problem).is_empty()) {
                 continue;
             }
-            let Ok(all) = self.problem(stage, data, &mut Taken::default()) else { continue };
+            // All groups together.
+            let Some(all) = problems.get(&stage.name) else { continue };
             let estimate = &stage.name;
-            remarks.extend(copied(&all).into_iter().map(|text| Remark { estimate: estimate.clone(), text }));
+            remarks.extend(copied(all).into_iter().map(|text| Remark { estimate: estimate.clone(), text }));
         }
         remarks
     }

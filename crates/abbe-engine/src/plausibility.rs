@@ -10,8 +10,8 @@ use abbe_core::{
     Problem, Quantity, Result, Status, Unit,
 };
 use abbe_estimation::{
-    LargeError, absurd_error, contradicted, dead_channels, implausible_errors, large_errors, likely_causes, likely_mistakes,
-    opposite_factor,
+    LargeError, absurd_error, contradicted, dead_channels, implausible_errors, large_errors, likely_causes,
+    likely_mistakes, opposite_factor,
 };
 use abbe_recipe::Stage;
 
@@ -67,7 +67,8 @@ impl Prepared {
                 }
                 continue;
             }
-            let errors = of_statements(fit).into_iter().chain(of_instruments(fit)).map(|error| error.stage(&stage.name));
+            let errors =
+                of_statements(fit).into_iter().chain(of_instruments(fit)).map(|error| error.stage(&stage.name));
             failures.extend(errors.map(|error| Failure::own(stage, self.recipe.locate(error))));
             let plausible = &self.plausible[&stage.name];
             let mut large = self.located(stage, large_errors(plausible, &fit.problem, &fit.calibration))?;

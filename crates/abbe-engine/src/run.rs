@@ -76,7 +76,7 @@ impl Prepared {
             texts.into_iter().map(|text| Remark { estimate: name.clone(), text }).collect::<Vec<_>>()
         };
         let of_fits = problems.iter().filter(|(_, problem)| !problem.sets.is_empty()).flat_map(told);
-        let of_groups = self.copied_groups(&fits, &data);
+        let of_groups = self.copied_groups(&fits, &problems);
         of_groups.iter().for_each(|remark| tracing::warn!("{}: {}", remark.estimate, remark.text));
         let remarks = of_fits.chain(of_groups).collect();
         Ok(Outcome {

@@ -46,8 +46,7 @@ fn faults(problem: &Problem) -> Vec<(bool, String)> {
         let uncertainty = uncertainties.get(&index).copied();
         let files = by_file(set);
         let is_still = |rows: &[DataRow]| {
-            rows.len() >= SEVERAL
-                && columns.iter().all(|column| rows.iter().all(|row| column[*row] == column[rows[0]]))
+            rows.len() >= SEVERAL && columns.iter().all(|column| rows.iter().all(|row| column[*row] == column[rows[0]]))
         };
         let moves = files.values().any(|rows| rows.len() >= SEVERAL && !is_still(rows));
         for (file, rows) in files {
@@ -64,7 +63,8 @@ fn faults(problem: &Problem) -> Vec<(bool, String)> {
             // One column alone is told beside those of other instruments.
             if columns.len() > 1 && moves && is_still(&rows) {
                 let words = format!(
-                    "{}{file}: all {} readings of all channels are the same, and those of other files are not: was the instrument connected?",
+                    "{}{file}: all {} readings of all channels are the same, and those of other files are not: was the instrument \
+                     connected?",
                     set.name,
                     rows.len()
                 );

@@ -334,19 +334,24 @@ mod tests {
             stuck[15..].fill(0.0);
             let found = of(&[stuck, y.clone(), z.clone()], Some(0.3));
             // The row before may read the same.
-            let is_told = matches!(found[..], [InstrumentFault::Stuck { channel: 0, first: 13..=15, rows: 35..=37, .. }]);
+            let is_told =
+                matches!(found[..], [InstrumentFault::Stuck { channel: 0, first: 13..=15, rows: 35..=37, .. }]);
             assert!(is_told && !found[0].is_certain(), "{found:?}");
             let wide = readings(seed, 400, [20.0, 0.3, 0.1]);
             let clipped: Vec<f64> = wide.iter().map(|value| value.clamp(-5.0, 5.0)).collect();
             let found = of(&[clipped], None);
-            assert!(matches!(found[..], [InstrumentFault::Clipped { .. }, InstrumentFault::Clipped { .. }]), "{found:?}");
+            assert!(
+                matches!(found[..], [InstrumentFault::Clipped { .. }, InstrumentFault::Clipped { .. }]),
+                "{found:?}"
+            );
         }
     }
 
     /// A channel that is set to zero where each run begins, and its error grows from there.
     #[test]
     fn what_is_set_to_zero_is_not_clipped() {
-        let rows: Vec<f64> = (0..110).map(|row| 0.31 * f64::from(row % 11) + 0.01 * f64::from(row / 11 * (row % 11))).collect();
+        let rows: Vec<f64> =
+            (0..110).map(|row| 0.31 * f64::from(row % 11) + 0.01 * f64::from(row / 11 * (row % 11))).collect();
         assert_eq!(of(&[rows], Some(0.3)), []);
     }
 }

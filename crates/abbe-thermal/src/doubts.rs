@@ -130,7 +130,9 @@ mod tests {
     #[test]
     fn other_units_are_found() {
         let (warm, cold): ([f64; 3], [f64; 3]) = ([20.0, 25.0, 31.0], [20.0, 20.1, 20.0]);
-        let of = |z: [f64; 3], temperature: [f64; 3]| in_another_unit(&[("z", &z), ("x", &[0.0, 1e-3, 2e-3])], &[&temperature]);
+        let of = |z: [f64; 3], temperature: [f64; 3]| {
+            in_another_unit(&[("z", &z), ("x", &[0.0, 1e-3, 2e-3])], &[&temperature])
+        };
         assert_eq!(of([0.0, 8e-3, 30e-3], warm), None);
         assert!(of([0.0, 8.0, 30.0], warm).is_some_and(|said| said.starts_with("z moves most")));
         assert!(of([0.0, 8e-6, 30e-6], warm).is_some_and(|said| said.starts_with("z moves by")));

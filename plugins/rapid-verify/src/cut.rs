@@ -122,8 +122,8 @@ impl VerifyCut {
             return Ok(());
         }
         let message = format!(
-            "{tolerance} um: a tolerance below the stock that is planned, {least} um at point {label}, was expected: with this one a cut below \
-             the finished surface passes"
+            "{tolerance} um: a tolerance below the stock that is planned, {least} um at point {label}, was expected: with this one a cut \
+             below the finished surface passes"
         );
         Err(Error::usage(message).setting("tolerance_um").help("is it in micrometres, and `stock_mm` in millimetres?"))
     }
