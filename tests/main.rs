@@ -23,6 +23,7 @@ mod frozen;
 mod full_disk;
 mod gcode;
 mod history;
+mod instruments;
 mod interrupted;
 mod laws;
 mod layouts;

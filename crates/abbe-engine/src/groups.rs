@@ -5,11 +5,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use abbe_core::{DataRow, Dataset, Error, Fit, Group, Kind, ListedBy, Monitor, Problem, Result, in_parallel};
+use abbe_estimation::{copied_runs, copies};
 use abbe_recipe::Stage;
 
 use crate::evidence::{Digests, of_problem};
 use crate::outcome::Failure;
+use crate::plausibility::EXACT;
 use crate::prepare::Prepared;
+use crate::record::Remark;
 use crate::run::{Datasets, Taken};
 
 /// The value of `per` for the rows of one file each.
@@ -116,6 +119,31 @@ impl Prepared {
         };
         problems.iter().zip(in_parallel(problems, None, fit)).map(failed).collect()
     }
+}
+
+impl Prepared {
+    /// Rows of one group that are those of another one to the last digit: a test that was not made.
+    pub(crate) fn copied_groups(&self, fits: &[Fit], problems: &BTreeMap<String, Problem>) -> Vec<Remark> {
+        let mut remarks = Vec::new();
+        for stage in self.stages(Kind::Estimate).filter(|stage| stage.per.is_some()) {
+            let own: Vec<&Fit> = fits.iter().filter(|fit| is_of(fit, &stage.name)).collect();
+            let is_exact = own.iter().all(|fit| fit.calibration.fit.sigma <= EXACT);
+            // A group with copies of its own rows tells them.
+            if is_exact || own.iter().any(|fit| !copied(&fit.problem).is_empty()) {
+                continue;
+            }
+            // All groups together.
+            let Some(all) = problems.get(&stage.name) else { continue };
+            let estimate = &stage.name;
+            remarks.extend(copied(all).into_iter().map(|text| Remark { estimate: estimate.clone(), text }));
+        }
+        remarks
+    }
+}
+
+/// Sentences on rows that are copies of others.
+fn copied(problem: &Problem) -> Vec<String> {
+    [copies(problem), copied_runs(problem)].concat()
 }
 
 /// The label of every row.

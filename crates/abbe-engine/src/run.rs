@@ -75,7 +75,10 @@ impl Prepared {
             let texts = if is_there { [remarks(problem), copies(problem)].concat() } else { Vec::new() };
             texts.into_iter().map(|text| Remark { estimate: name.clone(), text }).collect::<Vec<_>>()
         };
-        let remarks = problems.iter().filter(|(_, problem)| !problem.sets.is_empty()).flat_map(told).collect();
+        let of_fits = problems.iter().filter(|(_, problem)| !problem.sets.is_empty()).flat_map(told);
+        let of_groups = self.copied_groups(&fits, &problems);
+        of_groups.iter().for_each(|remark| tracing::warn!("{}: {}", remark.estimate, remark.text));
+        let remarks = of_fits.chain(of_groups).collect();
         Ok(Outcome {
             recipe: self.recipe.id.clone(),
             title: self.recipe.name.clone(),

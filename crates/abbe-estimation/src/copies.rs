@@ -62,7 +62,7 @@ pub fn copied_runs(problem: &Problem) -> Vec<String> {
 }
 
 /// The smallest standard uncertainty of the readings of every set.
-fn least_uncertainties(problem: &Problem) -> BTreeMap<SetIndex, f64> {
+pub(crate) fn least_uncertainties(problem: &Problem) -> BTreeMap<SetIndex, f64> {
     let mut uncertainties: BTreeMap<SetIndex, f64> = BTreeMap::new();
     let equations =
         problem.equation_rows().into_iter().zip(problem.standard_uncertainties()).zip(problem.constraints());

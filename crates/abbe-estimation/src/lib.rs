@@ -41,6 +41,7 @@
 mod aliasing;
 mod calibration;
 mod causes;
+mod channels;
 pub mod contact;
 mod copies;
 mod directions;
@@ -74,6 +75,7 @@ mod weighted;
 pub use aliasing::aliased;
 pub use calibration::calibration;
 pub use causes::likely_causes;
+pub use channels::dead_channels;
 pub use contact::{Variation, at_contact, is_judged_as_recorded, rank_point};
 pub use copies::{copied_runs, copies, repeated};
 pub use equivalent_motion_errors::equivalent_motion_errors;

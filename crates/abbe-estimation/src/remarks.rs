@@ -9,6 +9,7 @@ use abbe_core::{
 };
 
 use crate::aliasing::aliased;
+use crate::channels::doubtful_channels;
 use crate::copies::repeated;
 use crate::directions::turned;
 use crate::instruments::instruments;
@@ -25,6 +26,7 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks.extend(repeated(problem));
     remarks.extend(reversed(problem));
     remarks.extend(instruments(problem));
+    remarks.extend(doubtful_channels(problem));
     remarks.extend(shared(problem));
     remarks.extend(styli(problem));
     remarks.extend(missed(problem));
