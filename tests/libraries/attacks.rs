@@ -12,7 +12,7 @@ use std::process::Command;
 use abbe_core::{Build, Context, Poses, Variable};
 use serde_json::{Value, json};
 
-use super::{bad, lengths, limits, three_axes};
+use super::{bad, c_library, lengths, limits, three_axes};
 use crate::support::{Variant, program, read, root, skipped, temporary, write};
 
 /// How the program ended.
@@ -227,6 +227,40 @@ fn wrong_counts_are_refused() {
     for (mode, expected) in [("forged", "longer than any is"), ("drip", "gave no answer within 2 s")] {
         let kept = isolated(mode);
         assert!(kept.status == Some(1) && kept.said.contains(expected), "{mode}: {}", kept.said);
+    }
+}
+
+/// An isolated estimator that writes questions of its own on its connection is told what is wrong with them; nothing of it reaches the
+/// code of machines and observations.
+#[test]
+fn forged_questions_are_refused() {
+    for (mode, expected) in [
+        ("good", "\"Numbers\":{\"lengths\":[3,0,3,0]}"),
+        ("statuses", "gave statuses or values of another machine"),
+        ("values", "gave statuses or values of another machine"),
+        ("wanted", "wants a derivative to Parameter(1000000000), which is not there"),
+        ("room", "asks for more derivatives than a message has room for"),
+        ("rows", "asked for rows that are not there, or with other poses"),
+        ("positions", "asked for rows that are not there, or with other poses"),
+        ("contact", "asked for the contact of a row that is not there"),
+        ("nobody", "names the object 77, which is not there"),
+        ("answer", "broke the connection"),
+    ] {
+        let folder = temporary();
+        lengths(folder.path());
+        let asks = c_library(folder.path(), "tests/bad-plugins/asks.c", "asks", &[]);
+        let mut recipe = three_axes(json!({ "model": "bad-model", "mode": "good" }));
+        recipe["stages"]["fit"] = json!({ "estimate": "asks", "mode": mode, "machine": "machine", "observations": ["bar"],
+            "parameters": ["E*[1]"] });
+        recipe["plugins"] = json!([
+            { "path": bad(folder.path(), "bad", &[]), "isolate": false },
+            { "path": asks, "isolate": true, "time_limit_s": 10.0 },
+        ]);
+        Variant(recipe).write(folder.path());
+        let ended = ended(folder.path(), &["run", "recipe.yaml", "--out", "out", "--json"]);
+        let said = ended.stdout.replace("\\\"", "\"").replace("\\\"", "\"").replace('\\', "") + &ended.said;
+        assert_eq!(ended.status, Some(1), "{mode}: {said}");
+        assert!(said.contains(expected) && !said.contains("panicked"), "{mode}: {said}");
     }
 }
 
