@@ -117,6 +117,10 @@ fn what_never_ends_is_ended() {
     let loops = bad(folder.path(), "loops", &["-DLIBRARY_LOOPS"]);
     let error = abbe_plugin::isolated(&loops, None, &limits(2.0)).err().expect("its constructor never ends");
     assert!(error.message.contains("gave no answer within 2 s"), "{error}");
+    // In the program nothing ends it but somebody else: `timeout` has the status 124 then.
+    let bare = program(folder.path(), &["plugins", "--trust-plugins", "--plugin", &loops.to_string_lossy()]);
+    let waited = Command::new("timeout").arg("2").arg(bare.get_program()).args(bare.get_args()).output();
+    assert_eq!(waited.expect("`timeout` starts").status.code(), Some(124));
 }
 
 /// Every answer of 0.4 s is in time; all together take too long.
@@ -333,6 +337,7 @@ fn every_attack_of_the_page_has_a_test() {
         "round",
         "counts",
         "replaced",
+        "forges",
     ];
     for attack in attacks {
         let is_there = |row: &&str| row.split('|').nth(1).is_some_and(|what| what.contains(attack));
