@@ -18,7 +18,7 @@ const fn border(name: &'static str, uses: &'static [&'static str]) -> Border {
 }
 
 /// The folder `crates`: arrows point one way, see docs/architecture.md.
-const CRATES: [Border; 29] = [
+const CRATES: [Border; 30] = [
     border("abbe-settings", &[]),
     border("abbe-files", &[]),
     border("abbe-results", &["abbe-settings"]),
@@ -30,6 +30,7 @@ const CRATES: [Border; 29] = [
     border("abbe-standards", &["abbe-geometry", "abbe-results"]),
     border("abbe-table", &["abbe-core", "abbe-files"]),
     border("abbe-assembly", &["abbe-core", "abbe-estimation", "abbe-files", "abbe-table"]),
+    border("abbe-dcc", &["abbe-core", "abbe-files"]),
     border("abbe-thermal", &["abbe-core", "abbe-numerics"]),
     border("abbe-probe", &["abbe-core", "abbe-table"]),
     Border {
@@ -103,10 +104,11 @@ const CRATES: [Border; 29] = [
 const ABOVE_ALL: [&str; 4] = ["abbe-benches", "abbe-campaigns", "abbe-examples", "abbe-tests"];
 
 /// The crates that plugins may use.
-const FOR_PLUGINS: [&str; 17] = [
+const FOR_PLUGINS: [&str; 18] = [
     "abbe-assembly",
     "abbe-compensation",
     "abbe-core",
+    "abbe-dcc",
     "abbe-errors",
     "abbe-estimation",
     "abbe-files",
