@@ -1,6 +1,7 @@
 //! Tests that need a program which Rust does not bring: they say what is missing where it is, and are the second part of the
 //! gate.
 
+mod arrow;
 mod browser;
 mod certificate;
 mod driver;

@@ -18,7 +18,7 @@ const fn border(name: &'static str, uses: &'static [&'static str]) -> Border {
 }
 
 /// The folder `crates`: arrows point one way, see docs/architecture.md.
-const CRATES: [Border; 29] = [
+const CRATES: [Border; 30] = [
     border("abbe-settings", &[]),
     border("abbe-files", &[]),
     border("abbe-results", &["abbe-settings"]),
@@ -29,6 +29,7 @@ const CRATES: [Border; 29] = [
     border("abbe-kinematics", &["abbe-core"]),
     border("abbe-standards", &["abbe-geometry", "abbe-results"]),
     border("abbe-table", &["abbe-core", "abbe-files"]),
+    border("abbe-assembly", &["abbe-core", "abbe-estimation", "abbe-files", "abbe-table"]),
     border("abbe-dcc", &["abbe-core", "abbe-files"]),
     border("abbe-thermal", &["abbe-core", "abbe-numerics"]),
     border("abbe-probe", &["abbe-core", "abbe-table"]),
@@ -71,7 +72,10 @@ const CRATES: [Border; 29] = [
             "abbe-table",
         ],
     ),
-    border("abbe-report", &["abbe-core", "abbe-engine", "abbe-files", "abbe-probe", "abbe-trend", "abbe-volumetric"]),
+    border(
+        "abbe-report",
+        &["abbe-core", "abbe-engine", "abbe-estimation", "abbe-files", "abbe-probe", "abbe-trend", "abbe-volumetric"],
+    ),
     border(
         "abbe",
         &[
@@ -100,7 +104,8 @@ const CRATES: [Border; 29] = [
 const ABOVE_ALL: [&str; 4] = ["abbe-benches", "abbe-campaigns", "abbe-examples", "abbe-tests"];
 
 /// The crates that plugins may use.
-const FOR_PLUGINS: [&str; 17] = [
+const FOR_PLUGINS: [&str; 18] = [
+    "abbe-assembly",
     "abbe-compensation",
     "abbe-core",
     "abbe-dcc",
