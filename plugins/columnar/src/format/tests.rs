@@ -137,14 +137,18 @@ fn tried(random: &mut Random, with_nulls: bool) -> Tried {
         let says = is_beside || random.next().is_multiple_of(2);
         let metadata = says.then(|| (built::UNIT.to_owned(), unit.to_owned()));
         fields.push(field.with_metadata(metadata.into_iter().collect::<HashMap<_, _>>()));
-        (arrays.push(array), names.push(full), cells.push(text));
+        arrays.push(array);
+        names.push(full);
+        cells.push(text);
     }
     for name in
         LABELS.into_iter().filter(|name| *name == "feature" || random.next().is_multiple_of(2)).collect::<Vec<_>>()
     {
         let (array, text) = labels(random, rows);
         fields.push(Field::new(name, array.data_type().clone(), true));
-        (arrays.push(array), names.push(name.to_owned()), cells.push(text));
+        arrays.push(array);
+        names.push(name.to_owned());
+        cells.push(text);
     }
     let mut csv = names.join(",") + "\n";
     for row in 0..rows {
