@@ -93,7 +93,7 @@ fn is_small(block: &Block) -> bool {
     block.path.len() <= 3 && from.iter().all(|(axis, at)| (to[axis] - at).abs() < 0.08)
 }
 
-/// How far ahead, mm, of the last match the path is searched.
+/// How far ahead, mm, of the step of one place that of the next may be.
 const AHEAD: f64 = 1.5;
 
 /// The largest distance of the tip of the machine with errors from the programmed path, mm; rapid moves by their ends.
@@ -141,45 +141,86 @@ fn goal(machine: &Machine, blocks: &[&Block], directions: &mut ByAxis) -> Goal {
     Goal { tips, directions: all, length }
 }
 
+/// The distance of what is cut from the path: every place of the tip has its step of the path, none before the step of the last place,
+/// and of all such assignments the one counts whose largest distance is smallest. (The nearest step of each place alone would go astray
+/// where a path comes close to itself.) With bounds, because far assignments are many: the next bound where none is within one.
 fn along(machine: &Machine, goal: &Goal, blocks: &[&Block], is_tip: bool) -> f64 {
-    let (mut at, mut found) = (1_usize, 0_f64);
+    let (Some(last), Some(block)) = (goal.tips.last(), blocks.last()) else { return 0.0 };
+    let end = (block.path[block.path.len() - 1].clone(), goal.directions[goal.directions.len() - 1].clone());
+    let at_end = distance(tips(machine, &[end], true)[0], *last);
+    if goal.tips.len() < 2 {
+        return at_end;
+    }
+    let mut bounds = [5.0 * TOLERANCE, 50.0 * TOLERANCE, LOST, f64::INFINITY].into_iter();
+    bounds.find_map(|bound| assigned(machine, goal, blocks, is_tip, bound)).expect("an assignment").max(at_end)
+}
+
+/// The largest distance of the best assignment, if it is at most `bound`.
+fn assigned(machine: &Machine, goal: &Goal, blocks: &[&Block], is_tip: bool, bound: f64) -> Option<f64> {
+    // The steps of the path at which the last place may be, each with the largest distance up to there.
+    let mut reached = vec![(0, 0.0)];
     for block in blocks {
         let first = if is_small(block) { block.path.len() - 1 } else { 0 };
         for position in &block.path[first..] {
-            let mut best = (f64::INFINITY, at);
-            let mut known: BTreeMap<String, [f64; 3]> = BTreeMap::new();
-            for next in at..goal.tips.len() {
-                if goal.length[next - 1] - goal.length[at] > AHEAD && next > at + 4 {
-                    break;
-                }
-                // Where the tip is programmed axes turn around between two points of the path, nobody knows where.
-                let more = if is_tip { 1 } else { 0 };
-                let of = next.saturating_sub(more)..(next + 1 + more).min(goal.directions.len());
-                let off = goal.directions[of].iter().map(|directions| {
-                    let actual = *known
-                        .entry(format!("{directions:?}"))
-                        .or_insert_with(|| tips(machine, &[(position.clone(), directions.clone())], true)[0]);
-                    from_segment(actual, goal.tips[next - 1], goal.tips[next])
-                });
-                let off = off.fold(f64::INFINITY, f64::min);
-                if off < best.0 {
-                    best = (off, next);
-                }
-                if off <= TOLERANCE {
-                    break;
-                }
-            }
-            if best.0.is_finite() {
-                found = found.max(best.0);
-                at = best.1;
+            reached = next_reached(&reached, goal, bound, &mut from_step(machine, goal, position, is_tip));
+        }
+    }
+    reached.iter().map(|(_, largest)| *largest).min_by(f64::total_cmp)
+}
+
+fn next_reached(
+    reached: &[(usize, f64)],
+    goal: &Goal,
+    bound: f64,
+    off: &mut dyn FnMut(usize) -> f64,
+) -> Vec<(usize, f64)> {
+    let mut next = Vec::new();
+    let Some(((first, _), (last, _))) = reached.first().zip(reached.last()) else { return next };
+    // Whether a place at `step` may follow one at `before`.
+    let follows =
+        |step: usize, before: usize| step < before + 5 || goal.length[step] - goal.length[before + 1] <= AHEAD;
+    let (mut oldest, mut newest) = (0, 0);
+    for step in *first..goal.tips.len() - 1 {
+        if step > *last && !follows(step, *last) {
+            break;
+        }
+        while newest < reached.len() && reached[newest].0 <= step {
+            newest += 1;
+        }
+        while oldest < newest && !follows(step, reached[oldest].0) {
+            oldest += 1;
+        }
+        let before = reached[oldest..newest].iter().map(|(_, largest)| *largest).fold(f64::INFINITY, f64::min);
+        if before.is_finite() {
+            let largest = before.max(off(step));
+            if largest <= bound {
+                next.push((step, largest));
             }
         }
     }
-    if let (Some(last), Some(block)) = (goal.tips.last(), blocks.last()) {
-        let end = (block.path[block.path.len() - 1].clone(), goal.directions[goal.directions.len() - 1].clone());
-        found = found.max(distance(tips(machine, &[end], true)[0], *last));
+    next
+}
+
+/// The distance of the tip at a position from a step of the path, with the directions that the axes have there.
+fn from_step<'a>(
+    machine: &'a Machine,
+    goal: &'a Goal,
+    position: &'a ByAxis,
+    is_tip: bool,
+) -> impl FnMut(usize) -> f64 + 'a {
+    let mut known: BTreeMap<String, [f64; 3]> = BTreeMap::new();
+    move |step| {
+        // Where the tip is programmed axes turn around between two points of the path, nobody knows where.
+        let more = usize::from(is_tip);
+        let of = (step + 1 - more)..(step + 2 + more).min(goal.directions.len());
+        let off = goal.directions[of].iter().map(|directions| {
+            let actual = *known
+                .entry(format!("{directions:?}"))
+                .or_insert_with(|| tips(machine, &[(position.clone(), directions.clone())], true)[0]);
+            from_segment(actual, goal.tips[step], goal.tips[step + 1])
+        });
+        off.fold(f64::INFINITY, f64::min)
     }
-    found
 }
 
 fn options(dialect: Dialect) -> Options {
@@ -211,8 +252,7 @@ fn rotary(name: &str) -> &'static [&'static str] {
     }
 }
 
-/// Distances, mm, that no error makes: where a path comes close to itself, the search for the nearest place on it can lose a tip that is
-/// far off.
+/// Distances, mm, that no error makes: where a path comes close to itself, a tip that is far off may belong to another part of it.
 const LOST: f64 = 0.3;
 
 /// The law: on the machine with errors the corrected program makes the path that the original makes on the machine without.
