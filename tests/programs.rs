@@ -151,7 +151,7 @@ fn along(machine: &Machine, goal: &Goal, blocks: &[&Block], is_tip: bool) -> f64
     if goal.tips.len() < 2 {
         return at_end;
     }
-    let mut bounds = [5.0 * TOLERANCE, 50.0 * TOLERANCE, LOST, f64::INFINITY].into_iter();
+    let mut bounds = [1.05 * TOLERANCE, 5.0 * TOLERANCE, 50.0 * TOLERANCE, LOST, f64::INFINITY].into_iter();
     bounds.find_map(|bound| assigned(machine, goal, blocks, is_tip, bound)).expect("an assignment").max(at_end)
 }
 
@@ -162,7 +162,12 @@ fn assigned(machine: &Machine, goal: &Goal, blocks: &[&Block], is_tip: bool, bou
     for block in blocks {
         let first = if is_small(block) { block.path.len() - 1 } else { 0 };
         for position in &block.path[first..] {
-            reached = next_reached(&reached, goal, bound, &mut from_step(machine, goal, position, is_tip));
+            let next = next_reached(&reached, goal, bound, &mut from_step(machine, goal, position, is_tip));
+            if next.is_empty() {
+                println!("more than {:.3} µm off in line {}, at {position:?}", bound * 1e3, block.line);
+                return None;
+            }
+            reached = next;
         }
     }
     reached.iter().map(|(_, largest)| *largest).min_by(f64::total_cmp)
@@ -210,10 +215,7 @@ fn from_step<'a>(
 ) -> impl FnMut(usize) -> f64 + 'a {
     let mut known: BTreeMap<String, [f64; 3]> = BTreeMap::new();
     move |step| {
-        // Where the tip is programmed axes turn around between two points of the path, nobody knows where.
-        let more = usize::from(is_tip);
-        let of = (step + 1 - more)..(step + 2 + more).min(goal.directions.len());
-        let off = goal.directions[of].iter().map(|directions| {
+        let off = approaches(goal, step, is_tip).into_iter().map(|directions| {
             let actual = *known
                 .entry(format!("{directions:?}"))
                 .or_insert_with(|| tips(machine, &[(position.clone(), directions.clone())], true)[0]);
@@ -221,6 +223,31 @@ fn from_step<'a>(
         });
         off.fold(f64::INFINITY, f64::min)
     }
+}
+
+/// The directions that the axes may have in a step of the path. Where the tip is programmed an axis turns around somewhere in the steps
+/// beside, and each at a place of its own.
+fn approaches(goal: &Goal, step: usize, is_tip: bool) -> Vec<ByAxis> {
+    let own = &goal.directions[step + 1];
+    let mut found = vec![own.clone()];
+    if !is_tip {
+        return found;
+    }
+    let beside = [Some(&goal.directions[step]), goal.directions.get(step + 2)];
+    for (axis, direction) in own {
+        if beside.iter().flatten().any(|other| other.get(axis).unwrap_or(&1.0) != direction) {
+            let turned: Vec<ByAxis> = found
+                .iter()
+                .cloned()
+                .map(|mut other| {
+                    other.insert(axis.clone(), -direction);
+                    other
+                })
+                .collect();
+            found.extend(turned);
+        }
+    }
+    found
 }
 
 fn options(dialect: Dialect) -> Options {

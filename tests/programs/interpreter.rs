@@ -306,9 +306,10 @@ impl<'a> Control<'a> {
         let most = (8.0 * SAGITTA / one.norm()).sqrt();
         let count = (angle.abs() / most).ceil().max(2.0) as usize;
         let begin = one.y.atan2(one.x);
-        // An axis turns around at quarters of the circle.
+        // An axis turns around at quarters of the circle, and beside them where the radius changes: d/dt (r cos(w t)) = 0.
         let quarter = std::f64::consts::FRAC_PI_2;
-        let turns = (-10..=10).map(|count| (f64::from(count) * quarter - begin) / angle);
+        let beside = ((other.norm() - one.norm()) / (one.norm() * angle)).atan();
+        let turns = (-10..=10).map(|count| (f64::from(count) * quarter + beside - begin) / angle);
         let mut parts: Vec<f64> = (0..=count).map(|step| step as f64 / count as f64).collect();
         parts.extend(turns.filter(|part| *part > 1e-7 && *part < 1.0 - 1e-7));
         parts.sort_by(f64::total_cmp);
