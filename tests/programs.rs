@@ -818,6 +818,80 @@ fn what_controls_would_run_is_not_passed_over() {
     refused(&machine, &optional, &grbl, 4, "whatever a switch says");
 }
 
+/// Axes that a code only names, lengths that a change of the tool leaves open, and the shorter way of an axis.
+#[test]
+fn what_the_control_decides_is_not_guessed() {
+    let machine = Machine::public("three-axis");
+    let tools = |dialect| {
+        let mut options = Options::new(dialect);
+        options.tools.by_number.extend([(1, 120.5), (3, 160.5)]);
+        options.stays_at_tool_change = true;
+        options
+    };
+    // Fanuc: smoothing and the end of a mirror image name axes.
+    let named = |block: &str| format!("G21 G90 G17 G94 G54\nG0 X100. Y100. Z100.\n{block}\nG1 X200. F500.\nM30\n");
+    let fanuc = tools(Dialect::Fanuc);
+    let plain = corrected(&machine, &named("(none)"), &fanuc, 1.0).expect("a program").0;
+    for block in ["G05.1 Q2 X0. Y0. Z0.", "G5.1 Q1", "G50.1 X0. Y0."] {
+        let done = corrected(&machine, &named(block), &fanuc, 1.0).unwrap_or_else(|error| panic!("{block}: {error}")).0;
+        assert_eq!(done, plain.replace("(none)", block));
+    }
+    refused(&machine, &named("G1 G50.1 X0. Y0. F500."), &fanuc, 3, "the name of an axis");
+    // LinuxCNC: H0 is the tool in the spindle, or tool 0.
+    let mut linuxcnc = tools(Dialect::Linuxcnc);
+    let called = |words: &str| format!("G21 G90 G17 G54\nT3 M6\n{words}\nG0 X100 Y100 Z100\nM2\n");
+    let own = |words: &str, options: &Options| {
+        let done = corrected(&machine, &called(words), options, 1.0).unwrap_or_else(|error| panic!("{words}: {error}"));
+        done.0.lines().nth(4).expect("a move").to_owned()
+    };
+    assert_eq!(own("G43 H0", &linuxcnc), own("G43 H3", &linuxcnc));
+    assert_ne!(own("G43 H0", &linuxcnc), own("G49", &linuxcnc));
+    linuxcnc.tools.by_number.insert(0, 0.0);
+    refused(&machine, &called("G43 H0"), &linuxcnc, 3, "or tool 0");
+    // A cut with the length of the tool before.
+    for dialect in [Dialect::Linuxcnc, Dialect::Fanuc, Dialect::Iso] {
+        let changed = |words: &str| {
+            format!(
+                "G21 G90 G17 G94 G54\nT1 M6\nG43 H1\nG0 X0. Y0. Z100.\nT3 M6\nG0 X50.\n{words}\nG1 X60. F100.\nM30\n"
+            )
+        };
+        refused(&machine, &changed("G0 Y5."), &tools(dialect), 8, "tool 3 is in the spindle");
+        for words in ["G0 G43 H3 Z100.", "G0 G49 Z100."] {
+            let done = corrected(&machine, &changed(words), &tools(dialect), 1.0);
+            done.unwrap_or_else(|error| panic!("{dialect:?} {words}: {error}"));
+        }
+    }
+    // SINUMERIK: which cutting edge acts after M6 without D is a machine datum.
+    let siemens = tools(Dialect::Siemens);
+    let edges = |first: &str, second: &str| {
+        format!("G71 G90 G17 G94 G54\n{first}\nM6\nG0 X100 Y100 Z100\nT3\nM6\n{second}G0 X100 Y100 Z100\nM30\n")
+    };
+    let done = corrected(&machine, &edges("T1 D1", "D1 "), &siemens, 1.0).expect("a program").0;
+    let moves: Vec<&str> = done.lines().filter(|line| line.contains("G0")).collect();
+    assert_ne!(moves[0], moves[1].trim_start_matches("D1 "));
+    refused(&machine, &edges("T1 D1", ""), &siemens, 7, "no D says");
+    refused(&machine, &edges("T1", "D1"), &siemens, 4, "no D says");
+    refused(&machine, &edges("T1 D2", "D1"), &siemens, 2, "first cutting edge");
+    // The shorter way of an axis that has ends.
+    let table = Machine::public("table-table");
+    let turned = |to: &str| format!("G71 G90 G17 G94 G54\nG0 X0 Y0 Z100 A0 C170\nG1 X10 C={to} F100\nM30\n");
+    let mut options = Options::new(Dialect::Siemens);
+    corrected(&table, &turned("DC(10)"), &options, 1.0).expect("less than half a turn");
+    refused(&table, &turned("DC(-170)"), &options, 3, "the shorter way");
+    options = Options::new(Dialect::Heidenhain);
+    options.tools.only = Some(95.5);
+    options.stays_at_tool_change = true;
+    let text = |way: &str, to: &str| {
+        format!(
+            "BEGIN PGM A MM\nTOOL CALL 5 Z S3000\nL X+0 Y+0 Z+50 A+0 C+170 FMAX {way}\nL X+10 C{to} F500\nEND PGM A MM\n"
+        )
+    };
+    refused(&table, &text("M126", "-170"), &options, 4, "the shorter way");
+    for (way, to) in [("M126", "+10"), ("M127", "-170"), ("", "-170")] {
+        corrected(&table, &text(way, to), &options, 1.0).unwrap_or_else(|error| panic!("{way} {to}: {error}"));
+    }
+}
+
 /// A block that was made rapid afterwards, and a calibration that was changed after its run, are found.
 #[test]
 fn what_was_changed_afterwards_is_found() {

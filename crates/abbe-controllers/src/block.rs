@@ -165,6 +165,13 @@ impl<'a> Reader<'a> {
         let names_axis = line.words.iter().any(|word| place(word.letter).is_some());
         match said.special {
             Special::Dwell => return Ok(Action::Copy(motion)),
+            Special::Names => {
+                let named = line.words.iter().find(|word| place(word.letter).is_some());
+                return match named.filter(|_| motion.is_some()) {
+                    Some(word) => Err(refused(word, "a position, or the name of an axis of another code", APART)),
+                    None => Ok(Action::Copy(motion)),
+                };
+            }
             Special::SetSystem | Special::Shift => {
                 self.modal.set_offsets(said.special, &line)?;
                 return Ok(Action::Copy(motion));
@@ -269,6 +276,7 @@ impl<'a> Reader<'a> {
     }
 
     pub(crate) fn motion(&mut self, line: Line, said: Said, motion: Motion) -> Result<Action, Refusal> {
+        self.check_length(&line, motion)?;
         let offset = self.modal.offset();
         let (mut target, mut named) = (self.modal.at, [false; 9]);
         for word in &line.words {
@@ -291,18 +299,7 @@ impl<'a> Reader<'a> {
                 (true, None) => return Err(refused(word, "a relative move from a position that is not known", START)),
             };
             self.check_travel(word, axis, target[axis])?;
-            if let (Some(from), Some(to)) = (self.modal.at[axis], target[axis])
-                && !relative
-                && self.modal.machine.is_endless(axis)
-                && (to - from).abs() > 180.0
-            {
-                let help = "write it in smaller turns, or relative";
-                return Err(refused(
-                    word,
-                    "more than half a turn of an axis without ends, which way is not known",
-                    help,
-                ));
-            }
+            self.check_way(word, axis, target[axis], relative)?;
         }
         let places: Vec<usize> = self.modal.machine.places().collect();
         let start_known = places.iter().all(|axis| self.modal.at[*axis].is_some());
@@ -349,6 +346,36 @@ impl<'a> Reader<'a> {
             late: said.late,
             line,
         })))
+    }
+
+    /// Refuses turns whose sense the control chooses: more than half a turn of an axis without ends, or by the shorter way.
+    fn check_way(&self, word: &Word, axis: usize, target: Option<f64>, relative: bool) -> Result<(), Refusal> {
+        let (Some(from), Some(to)) = (self.modal.at[axis], target) else { return Ok(()) };
+        if relative || !is_rotary(axis) || (to - from).abs() <= 180.0 {
+            return Ok(());
+        }
+        let help = "write it in smaller turns, or relative";
+        if self.modal.machine.is_endless(axis) {
+            return Err(refused(word, "more than half a turn of an axis without ends, which way is not known", help));
+        }
+        if word.sense == Sense::Shortest || self.modal.takes_shorter_way {
+            let what = "the shorter way is not the one between the ends of this axis: has it ends?";
+            return Err(refused(word, what, help));
+        }
+        Ok(())
+    }
+
+    /// Refuses cuts, and moves along the tool, while it is not known which length acts.
+    fn check_length(&self, line: &Line, motion: Motion) -> Result<(), Refusal> {
+        let Some(what) = &self.modal.open_length else { return Ok(()) };
+        let is_siemens = self.options.dialect.is_siemens();
+        let along = |word: &Word| is_siemens && word.letter == b'Z';
+        match motion != Motion::Rapid || line.words.iter().any(along) {
+            true => {
+                Err(first(line, what, if is_siemens { "write D1 after it" } else { "write G43 with its H, or G49" }))
+            }
+            false => Ok(()),
+        }
     }
 
     fn inverse_meaning(&self, word: &Word) -> Result<(), Refusal> {
@@ -432,6 +459,8 @@ const WITH_NUMBERS: [f64; 4] = [5.1, 8.0, 61.0, 64.0];
 
 /// Farthest that the end of an arc may be from its circle, mm.
 const OFF_CIRCLE: f64 = 0.01;
+
+const APART: &str = "write the motion in a block of its own";
 
 const START: &str = "say where the axes stand: `--start X0,Y0,Z0`, or begin with a rapid move that names all axes; after M6 or TOOL CALL, which may \
                      move them, such a move is needed too, or `--tool-change stays`";

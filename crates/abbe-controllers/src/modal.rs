@@ -53,6 +53,12 @@ pub(crate) struct Modal {
     tool: Option<u32>,
     next_tool: Option<u32>,
     pub(crate) length: Option<f64>,
+    /// Whether a D came after the last T (SINUMERIK).
+    has_edge: bool,
+    /// Why it is not known which length acts, after a change of the tool.
+    pub(crate) open_length: Option<String>,
+    /// Whether rotary axes take the shorter way (M126).
+    pub(crate) takes_shorter_way: bool,
     pub(crate) space: Space,
     /// Where the axes stand, in `space`.
     pub(crate) at: [Option<f64>; 9],
@@ -69,6 +75,7 @@ pub(crate) struct Modal {
 pub(crate) enum Special {
     None,
     Dwell,
+    Names,
     Home,
     SetSystem,
     Shift,
@@ -112,6 +119,9 @@ impl Modal {
             tool: None,
             next_tool: None,
             length: None,
+            has_edge: false,
+            open_length: None,
+            takes_shorter_way: false,
             space: Space::Joints,
             at: options.start,
             machine,
@@ -164,12 +174,20 @@ impl Modal {
                 b'T' => {
                     self.next_tool = Some(word.value as u32);
                     if options.dialect.is_siemens() {
-                        self.tool = self.next_tool;
+                        (self.tool, self.has_edge) = (self.next_tool, false);
                     }
                     continue;
                 }
                 b'D' if options.dialect.is_siemens() => {
-                    length = Some((word, word.value != 0.0));
+                    if word.value > 1.0 && options.tools.only.is_none() {
+                        let help = "give one length for all tools: `--tool-length-mm`";
+                        return Err(refused(
+                            word,
+                            "a table of lengths has the first cutting edge of a tool alone",
+                            help,
+                        ));
+                    }
+                    (length, self.has_edge) = (Some((word, word.value != 0.0)), true);
                     continue;
                 }
                 0 => siemens_name(word)?,
@@ -215,6 +233,7 @@ impl Modal {
                 Meaning::SetSystem => special(&mut said, Special::SetSystem)?,
                 Meaning::Shift => special(&mut said, Special::Shift)?,
                 Meaning::Dwell => special(&mut said, Special::Dwell)?,
+                Meaning::Names => special(&mut said, Special::Names)?,
                 Meaning::NoShift => self.shift = [0.0; 9],
                 Meaning::Keep => {}
                 Meaning::Refuse(what, help) => return Err(refused(word, what, help)),
@@ -244,6 +263,7 @@ impl Modal {
         match word.value as u32 {
             6 => {
                 self.tool = self.next_tool;
+                self.open_length = self.left_open(options);
                 if !options.stays_at_tool_change {
                     if said.special != Special::None {
                         return Err(refused(word, "a change of the tool beside another code", MULTIPLE));
@@ -275,6 +295,17 @@ impl Modal {
         Ok(())
     }
 
+    /// Why it is not known, after a change of the tool, which length acts, or that it is that of another tool.
+    fn left_open(&self, options: &Options) -> Option<String> {
+        if options.dialect.is_siemens() {
+            // Which cutting edge acts without a D is a machine datum (20270, CUTTING_EDGE_DEFAULT).
+            return (!self.has_edge).then(|| "the tool was changed, and no D says which length acts".to_owned());
+        }
+        let (tool, acts) = self.tool.zip(self.length)?;
+        let own = options.tools.length(tool).filter(|own| *own != acts)?;
+        Some(format!("tool {tool} is in the spindle, {own} mm long, and a length of {acts} mm acts"))
+    }
+
     fn set_length(
         &mut self,
         word: &Word,
@@ -283,7 +314,20 @@ impl Modal {
         options: &Options,
         build: &MachineOf<'_>,
     ) -> Result<(), Refusal> {
+        self.open_length = None;
         let number = match line.words.iter().find(|word| word.letter == b'H') {
+            // LinuxCNC takes the tool in the spindle, or with a changer that puts tools anywhere, tool 0.
+            Some(of) if on && of.value == 0.0 && options.dialect == crate::dialect::Dialect::Linuxcnc => {
+                if options.tools.by_number.contains_key(&0) {
+                    let help = "write the H of the tool, or leave H out";
+                    return Err(refused(
+                        word,
+                        "H0 is the tool in the spindle or tool 0, as the control is set up",
+                        help,
+                    ));
+                }
+                self.tool
+            }
             Some(of) => Some(of.value as u32),
             None => self.tool,
         };

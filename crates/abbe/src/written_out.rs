@@ -14,7 +14,7 @@ use abbe_controllers::{Canonical, Options, prepare};
 use abbe_core::{Error, Result};
 use abbe_files::{LARGEST_RESULT, read_text};
 
-use crate::interrupt;
+use crate::interrupt::{self, TemporaryFolder};
 
 /// LinuxCNC's interpreter without a machine.
 const INTERPRETER: &str = "rs274";
@@ -52,7 +52,7 @@ pub struct WrittenOut {
     output: BufReader<ChildStdout>,
     child: Arc<Mutex<Child>>,
     commands: Arc<AtomicU64>,
-    folder: tempfile::TempDir,
+    folder: TemporaryFolder,
     options: Options,
     origins: Rc<RefCell<Origins>>,
     text: Vec<u8>,
@@ -70,7 +70,7 @@ impl WrittenOut {
         let unreadable = |error| Error::usage(format!("the program cannot be read: {error}")).in_file(file);
         let prepared = prepare(&read_text(file, LARGEST_RESULT).map_err(unreadable)?, options)?;
         let failed = |error: std::io::Error| Error::usage(format!("a temporary file cannot be written: {error}"));
-        let folder = tempfile::tempdir().map_err(failed)?;
+        let folder = TemporaryFolder::new().map_err(failed)?;
         for (name, text) in
             [("part.ngc", &prepared.program), ("tool.tbl", &prepared.tools), ("part.var", &prepared.parameters)]
         {

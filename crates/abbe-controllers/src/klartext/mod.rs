@@ -45,6 +45,7 @@ struct Effects {
     other_datum: Option<Word>,
     tip_off: Option<Word>,
     change: Option<Word>,
+    ends_shorter_way: bool,
 }
 
 impl Program {
@@ -171,6 +172,7 @@ impl Program {
             }
             None => Action::Copy(None),
         };
+        reader.modal.takes_shorter_way &= !effects.ends_shorter_way;
         if let Some(word) = effects.tip_off {
             self.tip(false, false, &word, reader)?;
         }
@@ -193,6 +195,8 @@ impl Program {
             }
             match effect {
                 Effect::Keep => {}
+                Effect::ShorterWay(true) => reader.modal.takes_shorter_way = true,
+                Effect::ShorterWay(false) => found.ends_shorter_way = true,
                 Effect::End => self.has_ended = true,
                 Effect::ToolChange => found.change = Some(word.clone()),
                 Effect::Machine => found.machine = Some(word.clone()),
