@@ -872,6 +872,43 @@ fn what_the_control_decides_is_not_guessed() {
     refused(&machine, &edges("T1 D1", ""), &siemens, 7, "no D says");
     refused(&machine, &edges("T1", "D1"), &siemens, 4, "no D says");
     refused(&machine, &edges("T1 D2", "D1"), &siemens, 2, "first cutting edge");
+    // In G18 the length of a SINUMERIK acts along Y.
+    let planes = |edge: &str| {
+        format!("G71 G90 G17 G94 G54\nT1 {edge}\nG0 X0 Y0 Z100\nG18\nG1 X10 F100\nG2 X20 Z90 I0 K-10\nM30\n")
+    };
+    refused(&machine, &planes("D1"), &siemens, 5, "acts along Y");
+    corrected(&machine, &planes("D0"), &siemens, 1.0).unwrap_or_else(|error| panic!("{error}"));
+    // Fanuc: an H alone, and what takes the length back on some controls.
+    let after = |words: &str| {
+        format!(
+            "G21 G90 G17 G94 G54\nT1 M6\nG0 G43 H1 Z100.\nG0 X0. Y0.\n{words}\nG0 X5.\nG0 Z90.\nG1 X60. F100.\nM30\n"
+        )
+    };
+    for (words, line, says) in [
+        ("H0", 5, "an H alone"),
+        ("H3", 5, "an H alone"),
+        ("G53 G0 Z200.", 7, "take the length"),
+        ("G28 Z150.", 7, "take the length"),
+    ] {
+        refused(&machine, &after(words), &fanuc, line, says);
+        let again = after(&format!("{words}\nG43 H1 Z100."));
+        if says != "an H alone" {
+            corrected(&machine, &again, &fanuc, 1.0).unwrap_or_else(|error| panic!("{words}: {error}"));
+        }
+    }
+    // What G53 does not name stays where it was written: relative moves go on from there.
+    for dialect in [Dialect::Linuxcnc, Dialect::Iso, Dialect::Grbl, Dialect::Siemens] {
+        let inch = if dialect == Dialect::Siemens { "G71" } else { "G21" };
+        for parked in ["G53 G0 Z200.", "G53 G0 X50.", "G53 G0 X50. Y20. Z200."] {
+            let text = format!("{inch} G90 G17 G94 G54\nG0 X100. Y90. Z100.\n{parked}\nG91\nG1 X5. F100.\nY5.\nM30\n");
+            let mut options = Options::new(dialect);
+            options.start = [Some(0.0); 9];
+            let (done, _) = corrected(&machine, &text, &options, 1.0).unwrap_or_else(|error| panic!("{error}"));
+            let run = |text: &str| Control::new(&machine).run(text);
+            let off = worst(&machine, &run(&text), &run(&done));
+            assert!(off <= TOLERANCE + 2e-5, "{dialect:?} {parked}: {off}\n{done}");
+        }
+    }
     // The shorter way of an axis that has ends.
     let table = Machine::public("table-table");
     let turned = |to: &str| format!("G71 G90 G17 G94 G54\nG0 X0 Y0 Z100 A0 C170\nG1 X10 C={to} F100\nM30\n");

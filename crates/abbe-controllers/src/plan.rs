@@ -76,21 +76,25 @@ impl<'a> Planner<'a> {
         Self { options, written: None, known: [true; 9], directions: [1.0; 9], last: None }
     }
 
-    /// The axes have moved without a correction.
-    pub(crate) fn jumped(&mut self, at: &[Option<f64>; 9]) {
+    /// Axes have moved without a correction; the others stand where they were written.
+    pub(crate) fn jumped(&mut self, at: &[Option<f64>; 9], moved: &[bool; 9]) {
+        let known = |axis: usize| match self.written {
+            Some(written) => Some(written[axis]).filter(|_| self.known[axis]),
+            None => self.options.start[axis],
+        };
+        let before: [Option<f64>; 9] = std::array::from_fn(known);
+        let is_first = self.written.is_none();
+        let now: [Option<f64>; 9] =
+            std::array::from_fn(|axis| if moved[axis] || is_first { at[axis] } else { before[axis] });
         for axis in 0..9 {
-            let before = match self.written {
-                Some(written) => Some(written[axis]).filter(|_| self.known[axis]),
-                None => self.options.start[axis],
-            };
-            if let (Some(before), Some(at)) = (before, at[axis])
-                && at != before
+            if let (Some(before), Some(now)) = (before[axis], now[axis])
+                && now != before
             {
-                self.directions[axis] = (at - before).signum();
+                self.directions[axis] = (now - before).signum();
             }
         }
-        self.known = at.map(|at| at.is_some());
-        self.written = Some(at.map(|at| at.unwrap_or(0.0)));
+        self.known = now.map(|at| at.is_some());
+        self.written = Some(now.map(|at| at.unwrap_or(0.0)));
         self.last = None;
     }
 

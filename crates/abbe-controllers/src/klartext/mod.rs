@@ -10,7 +10,7 @@ mod tool;
 mod words;
 mod write;
 
-use crate::block::{Action, Reader};
+use crate::block::{Action, Reader, named};
 use crate::geometry::place;
 use crate::lexer::{Line, Sense, Word};
 use crate::machine::Space;
@@ -156,7 +156,7 @@ impl Program {
             }
             Some(_) if effects.machine.is_some() || effects.other_datum.is_some() => {
                 machine_block(statement, &line, &effects, reader)?;
-                reader.jump(None, true)
+                reader.jump(None, true, named(&line))
             }
             Some(_) => self.moved(statement, line, effects.late, reader)?,
             None if matches!(statement, Statement::Arc | Statement::RadiusArc) => {
@@ -168,7 +168,7 @@ impl Program {
             }
             None if effects.change.is_some() && !reader.options.stays_at_tool_change => {
                 reader.modal.at = [None; 9];
-                reader.jump(None, false)
+                reader.jump(None, false, [true; 9])
             }
             None => Action::Copy(None),
         };
