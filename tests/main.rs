@@ -1,6 +1,7 @@
 //! Abbe as a whole: every recipe as a snapshot, the command line driven as a user drives it, and what must be true of
 //! the results whatever the code looks like inside.
 
+mod at_the_limit;
 mod ball_bar;
 mod bodies;
 mod bounds;
@@ -15,6 +16,7 @@ mod coverage;
 mod data;
 mod decisions;
 mod errors;
+mod expected_figures;
 mod facets;
 mod faults;
 mod files;
