@@ -12,6 +12,8 @@ use abbe_numerics::dot;
 use crate::settings::{GeneratedLengths, Generation};
 use crate::wrong;
 
+mod interpolation;
+
 /// A larger number of candidates is taken as a mistake in the settings.
 const MOST: usize = 1_000_000;
 
@@ -24,6 +26,9 @@ const AT_REST: f64 = 1e-6;
 /// grid has, and a grid of which the machine reaches no candidate.
 pub fn generate(wanted: &Generation, artefact: &dyn Artefact, model: &dyn KinematicModel) -> Result<String> {
     let grid = Grid::new(wanted, model)?;
+    if !wanted.interpolations.is_empty() {
+        return grid.interpolations(wanted, &artefact.targets(model.info().stylus_radius)?);
+    }
     match &wanted.lengths {
         Some(lengths) => grid.lengths(wanted, lengths),
         None => grid.touches(wanted, &artefact.targets(model.info().stylus_radius)?),
