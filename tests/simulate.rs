@@ -320,6 +320,7 @@ fn every_recipe_is_simulated_with_the_truth_of_its_own_data() {
             "warming-days" => Some("axis"),
             // The other one is the same to first order.
             "standards-ball-bar-exact" => Some("mill"),
+            "qif-results" => Some("machine"),
             // That of the sphere is taken as nominal.
             "probe-lobing" | "probe-lobing-exact" => Some("hu40t"),
             _ => None,
