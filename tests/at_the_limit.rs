@@ -133,7 +133,7 @@ fn count(validator: &str, kind: &str, keys: &[&str], draw: Draw, written: Writte
 }
 
 /// Validators whose figures with a limit have an uncertainty, and where their machines are drawn.
-const UNCERTAIN: [&str; 12] = [
+const UNCERTAIN: [&str; 13] = [
     // `readings`
     "circular",
     "cmm-lengths",
@@ -147,19 +147,17 @@ const UNCERTAIN: [&str; 12] = [
     "compensated",
     "repeats",
     "spindle",
+    // By a rule of its own, with the guard bands of its settings.
+    "tools",
     "uncertainty",
 ];
-
-/// The one that decides by a rule of its own, with the guard bands of its settings: `tests/tools`.
-const OWN_RULE: [&str; 1] = ["tools"];
 
 /// No validator is left out: the figures of one that is not drawn have no uncertainty in any recipe.
 pub fn only_what_is_drawn_is_uncertain(recipe: &str, verdicts: &[Verdict]) {
     for verdict in verdicts.iter().filter(|verdict| !UNCERTAIN.contains(&verdict.plugin.as_str())) {
         let uncertain = verdict.figures.iter().find(|figure| figure.standard_uncertainty.is_some());
-        let is_own = OWN_RULE.contains(&verdict.plugin.as_str());
         assert!(
-            is_own || uncertain.is_none(),
+            uncertain.is_none(),
             "{recipe}: `{}` of `{}` has an uncertainty: draw machines that stand at its limit (`tests/at_the_limit.rs`)",
             uncertain.map_or("", |figure| &figure.name),
             verdict.plugin
@@ -176,7 +174,7 @@ fn what_has_no_uncertainty_is_never_accepted() {
         assert_eq!(figure.decide(), Some(Decision::Inconclusive));
     }
     let registry = registry();
-    for name in UNCERTAIN.iter().chain(&OWN_RULE) {
+    for name in UNCERTAIN {
         assert!(registry.find(Kind::Validate, name).is_ok(), "there is no validator {name}");
     }
 }

@@ -19,7 +19,9 @@ struct Ledger {
 /// The places of all numbers, `/cmm/E0/E_max_um`.
 fn numbers(value: &Value, at: &str, found: &mut BTreeSet<String>) {
     match value {
-        Value::Number(_) => drop(found.insert(at.to_owned())),
+        Value::Number(_) => {
+            found.insert(at.to_owned());
+        }
         Value::Array(all) => {
             all.iter().enumerate().for_each(|(place, own)| numbers(own, &format!("{at}/{place}"), found));
         }
@@ -231,7 +233,8 @@ fn cmms(ledger: &mut Ledger) {
         found.is(ledger, &format!("{symbol} max[{file}]"), "um", &format!("{base}/E_max_um"));
         found.is(ledger, &format!("{symbol} min[{file}]"), "um", &format!("{base}/E_min_um"));
         found.is(ledger, &format!("largest |{symbol}|/MPE[{file}]"), "1", &format!("{base}/largest_E_over_MPE"));
-        let outside = ledger.expected.pointer(&format!("{base}/outside")).and_then(Value::as_array).expect("a list").len();
+        let outside =
+            ledger.expected.pointer(&format!("{base}/outside")).and_then(Value::as_array).expect("a list").len();
         assert_eq!(found.get(&format!("values outside[{file}]")).value, Some(outside as f64));
     }
     found.is(ledger, "R_0 max[lengths-e0]", "um", "/cmm/E0/R0_max_um");

@@ -28,7 +28,8 @@ fn candidates(recipe: &Variant) -> Result<String, String> {
 fn rows(text: &str) -> Vec<BTreeMap<String, String>> {
     let mut lines = text.lines().filter(|line| !line.starts_with('#'));
     let header: Vec<&str> = lines.next().expect("a header").split(',').collect();
-    let of = |line: &str| header.iter().map(|name| (*name).to_owned()).zip(line.split(',').map(str::to_owned)).collect();
+    let of =
+        |line: &str| header.iter().map(|name| (*name).to_owned()).zip(line.split(',').map(str::to_owned)).collect();
     lines.map(of).collect()
 }
 
@@ -151,7 +152,9 @@ fn the_readings_of_the_recipe_hold_the_truth() {
 fn a_ball_bar_turns_with_the_table() {
     let folder = temporary();
     write(&folder.path().join("balls.csv"), "feature,x_mm,y_mm,z_mm\n1,60,0,40\n");
-    for (name, beside) in [("radial", [100.0, 0.0, 0.0]), ("tangential", [0.0, 100.0, 0.0]), ("axial", [0.0, 0.0, 100.0])] {
+    for (name, beside) in
+        [("radial", [100.0, 0.0, 0.0]), ("tangential", [0.0, 100.0, 0.0]), ("axial", [0.0, 0.0, 100.0])]
+    {
         let recipe = Variant(json!({ "abbe": 1, "name": "bar", "stages": {
             "tests": { "ingest": "csv", "path": "not-there.csv" },
             "bar": { "artefact": "ball-bar", "from": "tests", "nominal": folder.path().join("balls.csv"),

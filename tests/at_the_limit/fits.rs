@@ -1,4 +1,4 @@
-//! Validators of estimates: circles of a ball bar, repeats, uncertainties, spindles, and what a correction leaves.
+//! Validators of estimates: circles of a ball bar, repeats, uncertainties, spindles, tools, and what a correction leaves.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -218,14 +218,72 @@ fn error_motions_of_spindles() {
     counted.hold();
 }
 
+/// A tool that is worn by exactly what it may be: presets, master and setter have their errors.
+#[test]
+fn worn_tools() {
+    let judged = |limits: Value, random: &mut Random| -> Decision {
+        let folder = temporary();
+        let (worn, offset) = (0.040, random.within(-0.05, 0.05));
+        // Lengths and radii as they are, and as they are stated.
+        let (master, tool) = ([200.0124, 12.4996], [152.413, 10.0]);
+        let mut log = "reading,session,tool,quantity,method,repeat,value_mm,time_s,cutting_min\n".to_owned();
+        let (mut reading, mut presets) = (0, [0.0; 2]);
+        for (place, quantity) in ["length", "radius"].into_iter().enumerate() {
+            let off = 0.5e-3 * random.normal();
+            presets[place] = tool[place] + 1.2e-3 * random.normal();
+            let wear = if place == 0 { worn } else { 0.0 };
+            for (name, value) in [(0, master[place] + off), (1, tool[place] - wear)] {
+                for repeat in 1..=3 {
+                    reading += 1;
+                    let read = value + offset + 0.7e-3 * random.normal();
+                    let _ = writeln!(log, "{reading},1,{name},{quantity},contact,{repeat},{read:.7},{},0", 9 * reading);
+                }
+            }
+        }
+        write(&folder.path().join("log.csv"), &log);
+        let table = format!(
+            "tool,length_mm,radius_mm,wear_limit_length_um,wear_limit_radius_um\n1,{:.7},{:.7},{},30\n",
+            presets[0],
+            presets[1],
+            1e3 * worn
+        );
+        write(&folder.path().join("tools.csv"), &table);
+        let recipe = Variant(json!({ "abbe": 1, "name": "tools", "stages": {
+            "log": { "ingest": "csv", "path": folder.path().join("log.csv") },
+            "tools": { "estimate": "tool-dimensions", "from": "log", "table": folder.path().join("tools.csv"),
+                "master": { "tool": 0, "length_mm": master[0], "radius_mm": master[1], "standard_uncertainty_um": 0.5 },
+                "repeatability_um": { "contact": { "length": 0.7, "radius": 0.7 } },
+                "setting_standard_uncertainty_um": 1.2, "coverage_factor": 2, "limits": limits },
+            "judge": { "validate": "tools", "of": "tools" },
+        }}));
+        let outcome = recipe.run();
+        let failures: Vec<String> = outcome.failures.iter().map(|failure| failure.error.to_string()).collect();
+        assert!(failures.is_empty(), "{failures:?}");
+        outcome.verdicts[0].decision
+    };
+    let limits = json!({ "breakage_um": 500, "chip_um": 25, "match_um": 60, "wrong_um": 150 });
+    let mut counted = Counted::default();
+    let mut answers = [0; 3];
+    for seed in 0..machines(MACHINES) as u64 {
+        let decision = judged(limits.clone(), &mut Random::new(1300 + seed));
+        counted.add("tools", decision == Decision::Pass);
+        answers[decision as usize] += 1;
+    }
+    counted.hold();
+    // Nearly all of them are to be measured again.
+    assert!(answers.iter().filter(|count| **count > 0).count() >= 2, "{answers:?}");
+}
+
 /// What a correction leaves: the machine is what it is, and commands are corrected by what was estimated of it.
 #[test]
 fn errors_that_a_correction_leaves() {
     let small = Small::new();
     assert!(SMALL.contains("fine:"));
-    let points = "X_mm,Y_mm,Z_mm,B_deg,C_deg,dir_X\n0,0,0,0,0,1\n-150,80,40,30,0,1\n120,-90,60,-45,90,-1\n60,140,-20,60,180,1\n";
+    let points =
+        "X_mm,Y_mm,Z_mm,B_deg,C_deg,dir_X\n0,0,0,0,0,1\n-150,80,40,30,0,1\n120,-90,60,-45,90,-1\n60,140,-20,60,180,1\n";
     small.write("points.csv", points);
-    let recipe = abbe_engine::prepare(&small.path("recipe.yaml"), &registry()).unwrap_or_else(|error| panic!("{error}"));
+    let recipe =
+        abbe_engine::prepare(&small.path("recipe.yaml"), &registry()).unwrap_or_else(|error| panic!("{error}"));
     let outcome = recipe.run(&abbe_core::Monitor::default()).unwrap_or_else(|error| panic!("{error}"));
     let planned = fit(&outcome, "fine");
     let model = planned.problem.model.as_ref();
@@ -244,13 +302,13 @@ fn errors_that_a_correction_leaves() {
         let (driven, _) = corrected.unwrap_or_else(|error| panic!("{error}"));
         let machine = with_values(&found.calibration, &truth);
         let trials = Trials { number: 200, seed: 1, probability: 0.95 };
-        let left = remaining(model, &machine, programmed.statuses(), &[&driven], &trials);
+        let left = remaining(model, &machine, programmed.statuses(), &[driven.as_slice()], &trials);
         let left = left.unwrap_or_else(|error| panic!("{error}"))[0];
         for (key, limit, written) in [
             ("tip_max_um", left.tip_max.estimate, guarded as Written),
-            ("tip_rms_um", left.tip_rms.estimate, guarded),
+            ("tip_rms_um", left.tip_rms.estimate, guarded as Written),
             // The upper limit has its guard band in it.
-            ("tip_upper_um", left.tip_max.estimate, simple),
+            ("tip_upper_um", left.tip_max.estimate, simple as Written),
         ] {
             let settings = json!({ "path": "points.csv", "trials": 400, "limits": { key: written(1e3 * limit) } });
             let figures = limited("compensated", &settings, small.folder.path(), &found);

@@ -88,7 +88,14 @@ impl Laser {
 }
 
 /// An axis with a scale, a bend and a reversal that scatters, over these targets.
-fn axis(laser: Laser, targets: &[f64], runs: usize, header: &str, way: impl Fn(f64) -> String, random: &mut Random) -> Tables {
+fn axis(
+    laser: Laser,
+    targets: &[f64],
+    runs: usize,
+    header: &str,
+    way: impl Fn(f64) -> String,
+    random: &mut Random,
+) -> Tables {
     let first = targets[0];
     let travel = targets[targets.len() - 1] - first;
     let slope = random.sign() * random.within(5.0, 15.0);
@@ -153,12 +160,9 @@ fn diagonals() {
         let length = travels.iter().map(|own| own * own).sum::<f64>().sqrt();
         let targets: Vec<f64> = [0.0, 0.21, 0.39, 0.58, 0.81, 1.0].iter().map(|part| part * length).collect();
         let mut tables = Vec::new();
-        for (name, signs) in [
-            ("ppp", [1.0, 1.0, 1.0]),
-            ("npp", [-1.0, 1.0, 1.0]),
-            ("pnp", [1.0, -1.0, 1.0]),
-            ("nnp", [-1.0, -1.0, 1.0]),
-        ] {
+        for (name, signs) in
+            [("ppp", [1.0, 1.0, 1.0]), ("npp", [-1.0, 1.0, 1.0]), ("pnp", [1.0, -1.0, 1.0]), ("nnp", [-1.0, -1.0, 1.0])]
+        {
             let way = |at: f64| {
                 let along = |axis: usize| signs[axis] * travels[axis] * (at / length - 0.5);
                 format!(",{:.6},{:.6},{:.6}", along(0), along(1), along(2))
@@ -189,7 +193,11 @@ fn circle(common: f64, random: &mut Random) -> Scene {
             let degrees = if direction > 0.0 { 10 * step } else { 350 - 10 * step };
             let angle = f64::from(degrees).to_radians();
             let (sin, cos) = angle.sin_cos();
-            let value = size + x * cos + y * sin + oval * (2.0 * angle).sin() + reversal * direction * (cos.abs() - 0.6)
+            let value = size
+                + x * cos
+                + y * sin
+                + oval * (2.0 * angle).sin()
+                + reversal * direction * (cos.abs() - 0.6)
                 + random.within(-0.3, 0.3);
             let error = shared + (1.0 - common).sqrt() * u * random.normal();
             tables.row(&format!("{direction},{degrees}"), &[(value, error)]);
@@ -224,7 +232,9 @@ fn rotary_interpolation() {
                 let (sin, cos) = f64::from(degrees).to_radians().sin_cos();
                 let cells = format!("{direction},{:.9},{:.9},0,{degrees}", 110.0 * cos, 110.0 * sin);
                 let values: Vec<(f64, f64)> = (amplitudes.iter())
-                    .map(|[a, b, c]| (a * cos + b * sin + c * direction + random.within(-0.2, 0.2), u * random.normal()))
+                    .map(|[a, b, c]| {
+                        (a * cos + b * sin + c * direction + random.within(-0.2, 0.2), u * random.normal())
+                    })
                     .collect();
                 tables.row(&cells, &values);
             }
@@ -340,7 +350,8 @@ fn probing_of_coordinate_measuring_machines() {
 fn drifts() {
     let draw: Draw = |random| {
         let u = 0.3;
-        let (size, tau, wave) = (random.sign() * random.within(5.0, 20.0), random.within(600.0, 3000.0), random.within(0.0, 1.0));
+        let (size, tau, wave) =
+            (random.sign() * random.within(5.0, 20.0), random.within(600.0, 3000.0), random.within(0.0, 1.0));
         let mut tables = Tables::new("time_s,drift_x_um");
         for step in 0..40 {
             let time = 180.0 * f64::from(step);

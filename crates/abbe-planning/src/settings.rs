@@ -327,7 +327,8 @@ impl Interpolation {
         for (axis, positions) in &self.turns_deg {
             let count = positions.values().map_err(|error| error.under(under(axis)))?.len();
             if count > 1 && longest > 1 && count != longest {
-                let message = format!("{count} positions; {longest} were expected, as many as of the other axis that turns");
+                let message =
+                    format!("{count} positions; {longest} were expected, as many as of the other axis that turns");
                 return Err(SettingsError::new("", message).under(under(axis)));
             }
             longest = longest.max(count);

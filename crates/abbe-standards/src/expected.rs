@@ -162,7 +162,10 @@ fn lengths_of_a_cmm() {
                 let one_outside =
                     |set: &&Set| set.places.iter().filter(|place| !all[**place].is_inside(&permissible)).count() == 1;
                 assert_eq!(serde_json::json!(sets.len()), *count);
-                assert_eq!(serde_json::json!(sets.iter().filter(one_outside).count()), figures["sets_with_one_outside"]);
+                assert_eq!(
+                    serde_json::json!(sets.iter().filter(one_outside).count()),
+                    figures["sets_with_one_outside"]
+                );
             }
             let outside: Vec<u64> =
                 (1..).zip(&all).filter(|(_, own)| !own.is_inside(&permissible)).map(|(n, _)| n).collect();
@@ -207,7 +210,10 @@ fn a_sphere_by_one_stylus_and_by_five() {
         let (single, figures) = (&figures["probing_single"], &figures["probing_multi"]);
         let one = ball(&of(0)).expect("a sphere");
         (0..3).for_each(|axis| same(one.centre[axis], &single["centre_mm"][axis], "the centre"));
-        assert_eq!(serde_json::json!([of(0).len(), (1..=5).map(|own| of(own).len()).sum()]), serde_json::json!([single["points"], figures["points"]]));
+        assert_eq!(
+            serde_json::json!([of(0).len(), (1..=5).map(|own| of(own).len()).sum()]),
+            serde_json::json!([single["points"], figures["points"]])
+        );
         same(1e3 * one.form, &single["PFTU_um"], "PFTU");
         same(1e3 * (2.0 * one.radius - DIAMETER), &single["PSTU_um"], "PSTU");
         let five = multi_stylus(&(1..=5).map(of).collect::<Vec<_>>()).expect("spheres").expect("five");

@@ -159,7 +159,9 @@ impl Circular {
         if let Some(row) = rows.iter().find(|row| readings[**row].abs() >= 0.1 * self.radius_mm) {
             let message = format!("the reading {} mm is no deviation from {} mm", readings[*row], self.radius_mm);
             return Err(data.error_at(DataRow(*row), message).help(match self.scanned {
-                Some(_) => "are `plane`, `centre_mm` and `radius_mm`, that of the way of the tip, those of this circle?",
+                Some(_) => {
+                    "are `plane`, `centre_mm` and `radius_mm`, that of the way of the tip, those of this circle?"
+                }
                 None => "readings are lengths less the nominal radius",
             }));
         }

@@ -57,7 +57,7 @@ fn example() -> Value {
     json!({ "axis": "C", "direction": [0, 0, 1], "ball_from_axis_mm": [110, 0, 60], "limits": { "radial_um": 20 } })
 }
 
-const KEYS: [Key; 7] = [
+static KEYS: [Key; 7] = [
     ("radial_um", "radial"),
     ("tangential_um", "tangential"),
     ("axial_um", "axial"),
@@ -89,7 +89,8 @@ fn build(settings: Rotary, _: &Context) -> Result<Box<dyn Validate>, SettingsErr
         return Err(SettingsError::new("readings", message));
     }
     if settings.readings.len() == 1 && settings.direction.is_some() {
-        let message = "a single reading has no radial, tangential and axial part: leave `direction` and `ball_from_axis_mm` out";
+        let message =
+            "a single reading has no radial, tangential and axial part: leave `direction` and `ball_from_axis_mm` out";
         return Err(SettingsError::new("direction", message));
     }
     not_negative("standard_uncertainty_um", settings.standard_uncertainty_um)?;
@@ -189,7 +190,9 @@ impl Rotary {
                     all.push((name, key, split.iter().map(|own| own[place]).collect()));
                 }
             }
-            Some(None) => findings.remarks.push(format!("{run}: the ball is on the axis: there is no radial direction")),
+            Some(None) => {
+                findings.remarks.push(format!("{run}: the ball is on the axis: there is no radial direction"))
+            }
         }
         for (place, (key, _)) in keys_of_readings(columns.len()).iter().copied().enumerate() {
             all.push((&self.readings[place], key, columns[place].to_vec()));

@@ -34,7 +34,8 @@ const CHAINS: [&str; 8] = [
 
 fn model(chain: &str, evaluation: &str, random: &mut Random) -> Arc<dyn KinematicModel> {
     let axes: Vec<char> = chain.chars().filter(char::is_ascii_uppercase).collect();
-    let linear: Vec<String> = axes.iter().filter(|axis| ('X'..='Z').contains(axis)).map(|axis| format!("E?{axis}")).collect();
+    let linear: Vec<String> =
+        axes.iter().filter(|axis| ('X'..='Z').contains(axis)).map(|axis| format!("E?{axis}")).collect();
     let mut points = serde_json::Map::new();
     for axis in axes.iter().filter(|axis| ('A'..='C').contains(axis)) {
         let point = [0; 3].map(|_| random.within(-40.0, 40.0));

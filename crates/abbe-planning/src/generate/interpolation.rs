@@ -16,7 +16,7 @@ impl Grid<'_> {
         let mut rows = Vec::new();
         for (place, test) in wanted.interpolations.iter().enumerate() {
             let at = |mut error: Error| {
-                error.setting.insert(1, PathItem::Index(place));
+                error.setting.push(PathItem::Index(place));
                 error
             };
             let ball = ball(test, targets).map_err(at)?;
@@ -49,9 +49,9 @@ impl Grid<'_> {
                 return Err(error.suggest(name, rotary().map(|axis| axis.name.as_str())));
             };
             let positions = positions.values().map_err(|error| wrong_grid("interpolations", error.message))?;
-            let beyond = positions.iter().find(|at| {
-                axis.range.is_some_and(|[from, to]| !(from - 1e-9..=to + 1e-9).contains(&at.to_radians()))
-            });
+            let beyond = positions
+                .iter()
+                .find(|at| axis.range.is_some_and(|[from, to]| !(from - 1e-9..=to + 1e-9).contains(&at.to_radians())));
             if let Some(beyond) = beyond {
                 let message = format!("{name} does not reach {beyond} deg: {}", test.test);
                 return Err(wrong_grid("interpolations", message));
@@ -61,7 +61,7 @@ impl Grid<'_> {
         let steps = turns.values().map(Vec::len).max().unwrap_or(0);
         let mut statuses = Vec::with_capacity(steps);
         for step in 0..steps {
-            let mut status = self.indexations[0].clone();
+            let mut status = self.standing.clone();
             for (&axis, positions) in &turns {
                 status[axis] = positions[step.min(positions.len() - 1)].to_radians();
             }
@@ -97,7 +97,8 @@ fn ball(test: &Interpolation, targets: &[Target]) -> Result<[f64; 3]> {
     let of_ball: Vec<&Target> = targets.iter().filter(|target| target.feature == test.ball).collect();
     let itself = of_ball.iter().find(|target| target.approach.is_none()).map(|target| target.tip);
     itself.or_else(|| meeting(&of_ball)).ok_or_else(|| {
-        let error = wrong_grid("interpolations", format!("the artefact has no ball {} that the tip follows", test.ball));
+        let error =
+            wrong_grid("interpolations", format!("the artefact has no ball {} that the tip follows", test.ball));
         error
             .suggest(&test.ball, targets.iter().map(|target| target.feature.as_str()))
             .help("`interpolations` are for `artefact: r-test`, and for `artefact: ball-bar` with one bar")
@@ -111,7 +112,8 @@ fn meeting(targets: &[&Target]) -> Option<[f64; 3]> {
     let (tip, approach) = *all.first()?;
     let apart = |one: [f64; 3], other: [f64; 3]| [0, 1, 2].map(|k| other[k] - one[k]);
     let length = |way: [f64; 3]| way.iter().map(|own| own * own).sum::<f64>().sqrt();
-    let (other, towards) = *all.iter().max_by(|a, b| length(apart(approach, a.1)).total_cmp(&length(apart(approach, b.1))))?;
+    let (other, towards) =
+        *all.iter().max_by(|a, b| length(apart(approach, a.1)).total_cmp(&length(apart(approach, b.1))))?;
     let distance = length(apart(tip, other)) / length(apart(approach, towards));
     let centre = [0, 1, 2].map(|k| tip[k] + distance * approach[k]);
     let is_near = |(tip, approach): &([f64; 3], [f64; 3])| {

@@ -126,7 +126,8 @@ fn figures_agree_to_the_printed_digit() {
             }
         }
         let keys = report.printed.as_object().expect("figures").keys();
-        let known: Vec<&str> = report.shared().iter().map(|(key, _)| *key).chain(["E", "R", "unit", "digits"]).collect();
+        let known: Vec<&str> =
+            report.shared().iter().map(|(key, _)| *key).chain(["E", "R", "unit", "digits"]).collect();
         assert!(keys.into_iter().all(|key| known.contains(&key.as_str())), "{}: a figure is not compared", report.name);
     }
     // Forty of the finer report; of two times twenty others two in three are the same when rounded.
@@ -147,7 +148,8 @@ fn bidirectional_e_and_r_are_not_what_the_reports_print() {
         let [r] = report.off("R", &[report.found.repeatability])[..] else { panic!("one R") };
         assert!(e > 100.0, "{}: E is that of both directions", report.name);
         // The printed values of the targets have the middle term, and ours is the largest of them.
-        let largest = report.printed["R_i"].as_array().expect("a list").iter().filter_map(Value::as_f64).fold(0.0, f64::max);
+        let largest =
+            report.printed["R_i"].as_array().expect("a list").iter().filter_map(Value::as_f64).fold(0.0, f64::max);
         assert!((report.found.repeatability.expect("R") - largest).abs() < 1.1 * report.digit, "{}", report.name);
         if r > 2.0 {
             other.push(report.name.clone());
@@ -155,7 +157,9 @@ fn bidirectional_e_and_r_are_not_what_the_reports_print() {
     }
     assert_eq!(other, ["direct-ecmc-a.csv", "direct-ecmc-c.csv"]);
     // What the README of the set has of them, mm.
-    let of = |name: &str| Report::all(&folder).into_iter().find(|report| report.name.contains(name)).expect("a report").found;
+    let of = |name: &str| {
+        Report::all(&folder).into_iter().find(|report| report.name.contains(name)).expect("a report").found
+    };
     assert!((of("-b").systematic.expect("E") - 0.0635).abs() < 5e-5);
     assert!((of("-c").repeatability.expect("R") - 0.00835).abs() < 5e-6);
 }
