@@ -124,9 +124,26 @@ fn a_ring_tells_what_a_ball_bar_tells() {
     }
 }
 
+/// The points are touches as well, and the calibrated diameter tells both scales.
 #[test]
 fn a_scanned_ring_gives_its_errors_back() {
-    let outcome = Variant::of(&recipes()["standards-scanned-ring"]).run();
+    let recipe = Variant::of(&recipes()["standards-scanned-ring"]);
+    let mut recipe = recipe.set("scan", "constants", json!({ "feature": 1 }));
+    let data = root().join("pipelines/data/standards/scanned/rings.csv");
+    let stages = recipe.0["stages"].as_object_mut().expect("stages");
+    stages.insert(
+        "ring".to_owned(),
+        json!({ "artefact": "rings", "from": "scan", "nominal": data, "standard_uncertainty_um": 0.2 }),
+    );
+    stages.insert(
+        "machine".to_owned(),
+        json!({ "model": "serial-chain", "chain": "w b Y X Z t", "tool_length_mm": 0, "stylus_radius_mm": 3, "errors": [
+            { "location": ["EC0X"] }, { "polynomial": ["EXX", "EYY"], "degrees": [1] }, { "backlash": ["EXX", "EYY"] }] }),
+    );
+    let fitted = json!({ "estimate": "gauss-newton", "machine": "machine", "observations": ["ring"],
+        "parameters": ["E*", "ring.*"] });
+    stages.insert("fit".to_owned(), fitted);
+    let outcome = recipe.run();
     let calibration = &fit(&outcome, "fit").calibration;
     let truth = json_file(&root().join("tests/truth/standards-scanned-ring.json"));
     let mut count = 0;
