@@ -225,13 +225,13 @@ fn qif_results_that_a_recipe_writes_are_those_that_it_reads() {
         let error = (found.value - expected.as_f64().expect("a number")) / found.standard_uncertainty;
         assert!(error.abs() < 3.5, "{name}: {error}");
     }
-    let rms = |outcome: &abbe_engine::Outcome| fit(outcome, "inspected").calibration.fit.residual_rms_um;
+    let rms = |outcome: &Outcome| fit(outcome, "inspected").calibration.fit.residual_rms_um;
     assert!(rms(&outcome) < 0.6, "{}", rms(&outcome));
     let mut recipe = recipe;
     recipe.0["stages"]["read-back"] = json!({ "ingest": "csv", "path": root().join("pipelines/data/qif/workpiece.csv"),
         "columns": { "X_mm": "X_mm", "Y_mm": "Y_mm", "Z_mm": "Z_mm", "run": "run", "point": "feature" },
         "constants": { "meas_z": 0, "placement": "last" } });
-    assert!(rms(&recipe.run()) > 2.0);
+    assert!(rms(&recipe.run()) > 1.2);
 }
 
 /// What LinuxCNC has logged in simulation, with hidden errors: the truth is inside four standard uncertainties, and the log in another
