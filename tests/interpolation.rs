@@ -177,14 +177,17 @@ fn a_ball_bar_turns_with_the_table() {
     }
 }
 
+/// A change of a test.
+type Change<'a> = &'a dyn Fn(&mut Value);
+
 #[test]
 fn tests_that_cannot_be_followed_are_refused() {
-    let wrong = |change: &dyn Fn(&mut Value)| {
+    let wrong = |change: Change<'_>| {
         let mut recipe = planned();
         change(&mut recipe.0["plan"]["generate"]["interpolations"][0]);
         candidates(&recipe).err().unwrap_or_default()
     };
-    let cases: [(&dyn Fn(&mut Value), &str); 8] = [
+    let cases: [(Change<'_>, &str); 8] = [
         (&|test| test["ball"] = json!("q"), "the artefact has no ball q that the tip follows"),
         (&|test| test["turns_deg"] = json!({ "B": [0, 10] }), "the machine has no rotary axis B"),
         (&|test| test["turns_deg"] = json!({ "A": [0, 50] }), "A does not reach 50 deg: BK1"),
