@@ -89,8 +89,7 @@ fn runs(blocks: &[Block]) -> Vec<(Vec<&Block>, Option<&Block>)> {
 
 /// A block that only takes up a reversal: its ends count, because its middle is nowhere in the program.
 fn is_small(block: &Block) -> bool {
-    let (from, to) = (&block.path[0], &block.path[block.path.len() - 1]);
-    block.path.len() <= 3 && from.iter().all(|(axis, at)| (to[axis] - at).abs() < 0.08)
+    block.path.iter().all(|to| block.path[0].iter().all(|(axis, at)| (to[axis] - at).abs() < 0.08))
 }
 
 /// How far ahead, mm, of the step of one place that of the next may be.
