@@ -297,7 +297,11 @@ fn errors_that_a_correction_leaves() {
             .iter()
             .map(|(name, size)| ((*name).to_owned(), random.within(-size, *size)))
             .collect();
-        let found = measured(planned, &truth, noise(1.6e-3), seed);
+        // As the recipe states them.
+        let stated = [("table", 1.6e-3), ("bar", 0.9e-3)].map(|(stage, sigma)| (stage.to_owned(), sigma));
+        let by_stage = StandardDeviation::ByStage(BTreeMap::from(stated));
+        let noise = Noise { probing_sigma_mm: by_stage, ..Noise::default() };
+        let found = measured(planned, &truth, noise, seed);
         let estimate = machine_values(model, &found.calibration);
         let corrected = Compensator::new(model, &estimate, &settings).and_then(|it| it.correct(programmed.statuses()));
         let (driven, _) = corrected.unwrap_or_else(|error| panic!("{error}"));
