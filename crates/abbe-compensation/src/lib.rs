@@ -11,6 +11,7 @@
 //! What a machine cannot correct is told for every set-point ([`Correction`]): the tool axis where its rotary axes do not span both
 //! tilts, corrections beyond the declared bound near a pole, ends of travel.
 
+pub mod active;
 mod calibrated;
 mod compensator;
 mod figures;
