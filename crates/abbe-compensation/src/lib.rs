@@ -28,7 +28,7 @@ mod temperatures;
 mod thermal;
 mod thermal_lines;
 
-pub use calibrated::{check_confounded, check_confounded_anywhere};
+pub use calibrated::{check_confounded, check_confounded_anywhere, extrapolated};
 pub use compensator::{Compensator, Correction, Deviation};
 pub use figures::{Figures, ReversedMoves, Spread, figures, reversed_moves};
 pub use measured::{Measured, MeasuredPoints, cost_of_leaving_out};

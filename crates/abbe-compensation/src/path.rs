@@ -5,7 +5,7 @@ use std::path::Path;
 use abbe_core::{Calibration, KinematicModel, Result, machine_values};
 use abbe_volumetric::predict;
 
-use crate::calibrated::check_confounded;
+use crate::calibrated::{check_confounded, extrapolated};
 use crate::compensator::{Compensator, Correction};
 use crate::figures::{ReversedMoves, largest_uncertainty, reversed_moves};
 use crate::set_points::SetPoints;
@@ -50,6 +50,7 @@ impl CompensatedPath {
         let values = machine_values(model, calibration);
         let corrected = || {
             check_confounded(model, calibration, points.statuses())?;
+            points.tell(&extrapolated(model, calibration, points.statuses())?);
             let (statuses, corrections) = Compensator::new(model, &values, settings)?.correct(points.statuses())?;
             let reversed = reversed_moves(model, &values, points.statuses(), &statuses)?;
             let known = predict(model, calibration, &statuses)?;

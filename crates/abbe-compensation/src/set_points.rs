@@ -158,6 +158,13 @@ impl SetPoints {
         }
     }
 
+    /// Warns with the lines of points.
+    pub(crate) fn tell(&self, sentences: &[(usize, String)]) {
+        for (point, sentence) in sentences {
+            tracing::warn!("{}:{}: {sentence}", self.path.display(), self.line(*point));
+        }
+    }
+
     /// The text of the file with columns more; all else stays as it is. `cells` are those of a point.
     ///
     /// Fails if the file has one of these columns.

@@ -29,6 +29,7 @@ mod run;
 mod saved;
 mod simulate;
 mod staging;
+mod statuses;
 mod travel;
 mod understood;
 mod units;

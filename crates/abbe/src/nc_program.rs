@@ -7,7 +7,7 @@ use std::io::{BufRead, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
-use abbe_compensation::{Settings, Temperatures, check_confounded_anywhere};
+use abbe_compensation::{Settings, Temperatures, check_confounded_anywhere, extrapolated};
 use abbe_controllers::{
     Checked, Coordinates, Dialect, Machine, Options, Summary, Tools, check, compensate, mark, place,
 };
@@ -320,6 +320,13 @@ impl Asked<'_> {
         let values = machine_values(model.as_ref(), &known.calibration);
         let constants: BTreeMap<String, (Quantity, f64)> = self.options.constant.iter().cloned().collect();
         let length = length.or(own).unwrap_or(0.0);
+        let status = model.info().status.iter();
+        let status: Vec<f64> = status.map(|column| constants.get(&column.name).map_or(0.0, |(_, value)| *value)).collect();
+        let told = extrapolated(model.as_ref(), &known.calibration, &status).map_err(|mut error| {
+            error.pose = None;
+            Error { message: format!("--constant: {}", error.message), ..error }
+        })?;
+        told.iter().for_each(|(_, sentence)| tracing::warn!("--constant: {sentence}"));
         Machine::with_constants(model, values, self.settings.clone(), length, known.time, &constants)
     }
 
