@@ -32,7 +32,7 @@ pub use calibrated::{check_confounded, check_confounded_anywhere, extrapolated};
 pub use compensator::{Compensator, Correction, Deviation};
 pub use figures::{Figures, ReversedMoves, Spread, figures, reversed_moves};
 pub use measured::{Measured, MeasuredPoints, cost_of_leaving_out};
-pub use path::CompensatedPath;
+pub use path::{CompensatedPath, MARK};
 pub use remaining::{Expected, Remaining, Trials, remaining};
 pub use set_points::SetPoints;
 pub use settings::{Correct, Method, Settings, Travel};

@@ -8,6 +8,8 @@ use abbe_core::{
 };
 use abbe_table::Cells;
 
+use crate::path::MARK;
+
 /// Names that axes have (ISO 841). A column with such a name and the unit of a length or an angle commands an axis.
 const LETTERS: &str = "XYZABCUVW";
 
@@ -140,6 +142,17 @@ impl SetPoints {
     /// Whether there is no point.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The line with the mark of a correction ([`MARK`](crate::MARK)), if these set-points are corrected already.
+    pub fn marked(&self) -> Option<usize> {
+        let mut lines = (1..).zip(self.text.lines());
+        lines.find(|(_, line)| line.starts_with('#') && line.contains(MARK)).map(|(line, _)| line)
     }
 
     /// The line of a point in its file.
