@@ -336,3 +336,23 @@ fn many_columns_of_labels_take_no_time_of_their_own() {
     let printed = ended(&small, &["run", RECIPE, "--time-limit", "60"]);
     assert_eq!(printed.status, 0, "{}", printed.stderr);
 }
+
+/// A chain of 50,000 sets, each of which names the next one; and the same with a circle at its end.
+#[test]
+fn a_long_chain_of_sets_ends() {
+    const SETS: usize = 50_000;
+    let small = Small::new();
+    let recipe = small.read(RECIPE);
+    let with = |last: &str| {
+        let chain = (0..SETS).map(|set| format!("  s{set}: [\"@s{}\"]\n", set + 1)).collect::<String>();
+        let text = recipe.replacen("sets:\n", &format!("sets:\n{chain}  s{SETS}: [{last}]\n"), 1);
+        let used = text.replacen("parameters: [", "parameters: [\"@s0\", ", 1);
+        assert!(text != recipe && used != text);
+        small.write(RECIPE, &used);
+        ended(&small, &["check", RECIPE])
+    };
+    assert_eq!(with("dxt").status, 0);
+    let circle = with("\"@s0\"");
+    assert_eq!(circle.status, 2);
+    assert!(circle.stderr.contains("in a circle: s0 -> s1"), "{}", &circle.stderr[..200]);
+}
