@@ -6,6 +6,7 @@
 //! virtual machine instead.
 
 mod check;
+mod circles;
 mod described;
 mod evidence;
 mod folder;

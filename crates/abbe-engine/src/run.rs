@@ -11,6 +11,7 @@ use abbe_core::{
 use abbe_estimation::{copies, remarks};
 use abbe_recipe::Stage;
 
+use crate::circles::contradicted_angles;
 use crate::evidence;
 use crate::groups::{GroupProblem, is_of};
 use crate::outcome::{Failure, Outcome};
@@ -23,7 +24,7 @@ use crate::row_settings::Wanted;
 use crate::saved::fit_without_rows;
 use crate::statuses;
 use crate::travel::{check_travel, in_travel};
-use crate::units::{likely_fahrenheit, tell_minutes};
+use crate::units::{likely_fahrenheit, likely_turned, tell_minutes};
 
 /// What is known before the first fit.
 struct Known<'a> {
@@ -301,7 +302,8 @@ impl Prepared {
                 Some((_, made)) => made.clone(),
                 None => Arc::new(self.located(stage, self.ingests[&stage.name].read())?),
             };
-            likely_fahrenheit(&read).iter().for_each(|told| tracing::warn!("{}: {told}", stage.name));
+            let told = likely_fahrenheit(&read).into_iter().chain(likely_turned(&read)).chain(contradicted_angles(&read));
+            told.for_each(|told| tracing::warn!("{}: {told}", stage.name));
             data.insert(stage.name.clone(), read);
         }
         Ok(data)
