@@ -21,9 +21,13 @@ fn loads_that_were_not_measured_are_told() {
     let result = "out/recipe/fit-angles.calibration.json";
     let measured = crate::support::json_file(&at.join(result))["fit"]["statuses"]["load"].clone();
     assert!(measured[1].as_f64().is_some_and(|most| (4000.0..6000.0).contains(&most)), "{measured}");
-    for (load, is_told, is_refused) in
-        [("0", false, false), ("4900", false, false), ("5100", false, false), ("9000", true, false), ("49000", true, true)]
-    {
+    for (load, is_told, is_refused) in [
+        ("0", false, false),
+        ("4900", false, false),
+        ("5100", false, false),
+        ("9000", true, false),
+        ("49000", true, true),
+    ] {
         let row = |load: &str| format!("300,200,300,0,0,1,{load},0\n");
         let text = format!("X_mm,Y_mm,Z_mm,B_deg,C_deg,stylus,load_N,load_z_mm\n{}{}", row("1000"), row(load));
         write(&at.join("points.csv"), &text);
@@ -36,7 +40,11 @@ fn loads_that_were_not_measured_are_told() {
             let text = said(&found.stderr);
             assert_eq!(found.status, i32::from(is_refused), "{command} {load}: {text}");
             assert_eq!(text.contains("points.csv:3: `load_N` is"), is_told, "{command} {load}: {text}");
-            assert_eq!(text.contains("corrections are extrapolated"), is_told && !is_refused, "{command} {load}: {text}");
+            assert_eq!(
+                text.contains("corrections are extrapolated"),
+                is_told && !is_refused,
+                "{command} {load}: {text}"
+            );
         }
         // A program names its load as an option.
         write(&at.join("part.ngc"), "G21 G90 G17 G94 G54\nG0 X300 Y200 Z300 B0 C0\nG1 X310 F100\nM2\n");
@@ -99,7 +107,9 @@ fn tools_and_travels_of_a_machine_file_are_compared() {
     let mut wider = machine.clone();
     wider["axes"]["X"]["range_mm"][1] = json!(machine["axes"]["X"]["range_mm"][1].as_f64().expect("an end") + 300.0);
     let words = ["mm long, that of machine.yaml is", "X goes from"];
-    for (name, file, told) in [("own", &machine, [false; 2]), ("tool", &shorter, [true, false]), ("travel", &wider, [false, true])] {
+    for (name, file, told) in
+        [("own", &machine, [false; 2]), ("tool", &shorter, [true, false]), ("travel", &wider, [false, true])]
+    {
         write(&at.join("machine.yaml"), &file.to_string());
         for command in ["compensate", "correct"] {
             let found = abbe(at, &[command, "truth.calibration.json", "points.csv", "--machine", "machine.yaml"]);

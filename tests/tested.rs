@@ -42,7 +42,11 @@ fn a_change_is_told_and_accepted() {
     test(&["--accept"], 0);
     test(&[], 0);
     assert_ne!(small.read("recipe.expected"), before);
-    assert!(small.read("recipe.expected").contains(&format!("\n{remark}\nrun = ")), "{}", small.read("recipe.expected"));
+    assert!(
+        small.read("recipe.expected").contains(&format!("\n{remark}\nrun = ")),
+        "{}",
+        small.read("recipe.expected")
+    );
 }
 
 #[test]

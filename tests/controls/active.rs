@@ -26,10 +26,7 @@ fn cases() -> Vec<Case> {
         case("isg-tables", json!({ "tables": tables, "axis_numbers": numbers }), "x.lis", true),
         case("heidenhain-tables", json!({ "tables": tables, "values": "added" }), "AXIS_X.COM", true),
         case("heidenhain-kinematics", kinematics.clone(), "AXIS-X.COM", true),
-        Case {
-            key: "existing_kinematics",
-            ..case("heidenhain-kinematics", kinematics, "KINEMATICS.TAB", false)
-        },
+        Case { key: "existing_kinematics", ..case("heidenhain-kinematics", kinematics, "KINEMATICS.TAB", false) },
         case("siemens-tables", json!({ "tables": tables, "machine_axes": { "X": "AX1" } }), "cec.ini", false),
         case(
             "fanuc-pitch",
@@ -48,7 +45,8 @@ impl Case {
         let files = exporter(self.name, &self.settings).export(&machine.calibration, machine.model.as_ref());
         let files = files.unwrap_or_else(|error| panic!("{}: {error}", self.name));
         let found: Option<&ExportedFile> = files.iter().find(|file| file.name == self.file);
-        let found = found.unwrap_or_else(|| panic!("{}: {:?}", self.name, files.iter().map(|file| &file.name).collect::<Vec<_>>()));
+        let found = found
+            .unwrap_or_else(|| panic!("{}: {:?}", self.name, files.iter().map(|file| &file.name).collect::<Vec<_>>()));
         String::from_utf8(found.content.clone()).expect("text")
     }
 
@@ -71,7 +69,9 @@ impl Case {
     fn wrong(&self, text: &str) -> (String, Option<String>, Vec<String>) {
         let once = |start: &str, to: &dyn Fn(&str) -> String| {
             let mut is_done = false;
-            let change = |line: &str| match line.starts_with(start) && !std::mem::replace(&mut is_done, line.starts_with(start)) {
+            let change = |line: &str| match line.starts_with(start)
+                && !std::mem::replace(&mut is_done, line.starts_with(start))
+            {
                 true => to(line),
                 false => line.to_owned(),
             };
@@ -111,10 +111,9 @@ impl Case {
             }
             "cec.ini" => (
                 once("$AN_CEC[0,3]=", &|_| "$AN_CEC[0,3]=30".to_owned()),
-                all(
-                    &|line| ["_STEP[", "_MIN[", "_MAX["].iter().any(|name| line.contains(name)),
-                    &|line| scaled(line, '=', 1),
-                ),
+                all(&|line| ["_STEP[", "_MIN[", "_MAX["].iter().any(|name| line.contains(name)), &|line| {
+                    scaled(line, '=', 1)
+                }),
                 Vec::new(),
             ),
             "fanuc-pitch.txt" => (

@@ -60,7 +60,8 @@ pub fn covers(
     line: Option<usize>,
     setting: &str,
 ) -> Result<()> {
-    let ends = positions.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), at| (low.min(*at), high.max(*at)));
+    let ends =
+        positions.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), at| (low.min(*at), high.max(*at)));
     let covered = ends.1.min(to) - ends.0.max(from);
     if covered >= 0.5 * (to - from) {
         return Ok(());

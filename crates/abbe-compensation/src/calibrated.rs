@@ -120,8 +120,7 @@ fn depends(
     place: usize,
     other: f64,
 ) -> Result<bool> {
-    let is_estimated =
-        |name: &str| calibration.get(name).is_some_and(|known| known.status == Status::Estimated);
+    let is_estimated = |name: &str| calibration.get(name).is_some_and(|known| known.status == Status::Estimated);
     let parameters = model.info().parameters.iter().enumerate();
     let wanted: Vec<Variable> = parameters
         .filter(|(_, parameter)| is_estimated(&parameter.name))

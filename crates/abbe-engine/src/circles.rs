@@ -131,7 +131,11 @@ mod tests {
                     let angle = from + sense * sweep * f64::from(row) / 199.0;
                     let round = radius + error[0] * (2.0 * angle).cos() + error[1] * (3.0 * angle).sin();
                     let noise = 0.02 * (part() - 0.5);
-                    [angle, centre[0] + round * angle.cos() + noise, centre[1] + round * (angle + 1e-3 * error[2]).sin()]
+                    [
+                        angle,
+                        centre[0] + round * angle.cos() + noise,
+                        centre[1] + round * (angle + 1e-3 * error[2]).sin(),
+                    ]
                 })
                 .collect();
             assert_eq!(offset(&points), None, "{case}");
@@ -149,9 +153,8 @@ mod tests {
     fn what_is_no_circle_says_nothing() {
         let line: Vec<[f64; 3]> = (0..50).map(|row| [f64::from(row), f64::from(row), 2.0 * f64::from(row)]).collect();
         assert_eq!(offset(&line), None);
-        let square: Vec<[f64; 3]> = (0..100)
-            .map(|row| [f64::from(row) * 0.06, f64::from(row % 10), f64::from(row / 10)])
-            .collect();
+        let square: Vec<[f64; 3]> =
+            (0..100).map(|row| [f64::from(row) * 0.06, f64::from(row % 10), f64::from(row / 10)]).collect();
         assert_eq!(offset(&square), None);
         assert_eq!(offset(&[]), None);
     }

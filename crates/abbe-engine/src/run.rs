@@ -302,7 +302,8 @@ impl Prepared {
                 Some((_, made)) => made.clone(),
                 None => Arc::new(self.located(stage, self.ingests[&stage.name].read())?),
             };
-            let told = likely_fahrenheit(&read).into_iter().chain(likely_turned(&read)).chain(contradicted_angles(&read));
+            let told =
+                likely_fahrenheit(&read).into_iter().chain(likely_turned(&read)).chain(contradicted_angles(&read));
             told.for_each(|told| tracing::warn!("{}: {told}", stage.name));
             data.insert(stage.name.clone(), read);
         }

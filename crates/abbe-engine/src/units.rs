@@ -122,8 +122,13 @@ mod tests {
             let room = 12.0 + 30.0 * random.part();
             let firsts: Vec<f64> = (0..4).map(|_| room + 4.0 * (random.part() - 0.5)).collect();
             let told = |values: &[f64]| {
-                let row = |by: f64| values.iter().map(|value| format!("{:.3}", value + by)).collect::<Vec<_>>().join(",");
-                likely_turned(&table(&format!("time_s,Ta_degC,Tb_degC,Tc_degC,Td_degC\n0,{}\n60,{}\n", row(0.0), row(5.0))))
+                let row =
+                    |by: f64| values.iter().map(|value| format!("{:.3}", value + by)).collect::<Vec<_>>().join(",");
+                likely_turned(&table(&format!(
+                    "time_s,Ta_degC,Tb_degC,Tc_degC,Td_degC\n0,{}\n60,{}\n",
+                    row(0.0),
+                    row(5.0)
+                )))
             };
             assert_eq!(told(&firsts), None);
             let of = |value: f64| [&firsts[..2], &[value], &firsts[3..]].concat();

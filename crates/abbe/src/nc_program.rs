@@ -321,7 +321,8 @@ impl Asked<'_> {
         let constants: BTreeMap<String, (Quantity, f64)> = self.options.constant.iter().cloned().collect();
         let length = length.or(own).unwrap_or(0.0);
         let status = model.info().status.iter();
-        let status: Vec<f64> = status.map(|column| constants.get(&column.name).map_or(0.0, |(_, value)| *value)).collect();
+        let status: Vec<f64> =
+            status.map(|column| constants.get(&column.name).map_or(0.0, |(_, value)| *value)).collect();
         let told = extrapolated(model.as_ref(), &known.calibration, &status).map_err(|mut error| {
             error.pose = None;
             Error { message: format!("--constant: {}", error.message), ..error }

@@ -240,7 +240,7 @@ impl Fanuc {
             Some(path) => {
                 let believed = self.settings.tables.believed();
                 fanuc_file::read(path, &numbered, &places, &units, model, &believed)?
-            },
+            }
             None => InFile::default(),
         };
         let existing = std::mem::take(&mut found.tables).into_iter().map(|table| self.settings.values.turned(table));

@@ -196,7 +196,8 @@ fn table(
         let mut values = vec![0.0];
         let mut lines = vec![0];
         for point in begin..=begin + last - first - i64::from(repeats) {
-            let (value, line) = numbers.points.get(&point).ok_or_else(|| format!("N{:05} is missing", 10_000 + point))?;
+            let (value, line) =
+                numbers.points.get(&point).ok_or_else(|| format!("N{:05} is missing", 10_000 + point))?;
             sum += *value as f64 * scale;
             values.push(sum);
             lines.push(*line);
@@ -208,7 +209,9 @@ fn table(
     let against = if both { of(3627)? as f64 } else { 0.0 };
     let [forward_zero, reverse_zero] = if places.returns_negative(axis) { [against, 0.0] } else { [0.0, against] };
     let (forward, forwards) = curve(begin, forward_zero)?;
-    let (reverse, reverses) = if both { curve(of(3626)? + i64::from(repeats), reverse_zero)? } else { (forward.clone(), forwards.clone()) };
-    let table = AxisTable { input: axis, output: axis, positions: ends.map(place).collect(), forward, reverse, repeats };
+    let (reverse, reverses) =
+        if both { curve(of(3626)? + i64::from(repeats), reverse_zero)? } else { (forward.clone(), forwards.clone()) };
+    let table =
+        AxisTable { input: axis, output: axis, positions: ends.map(place).collect(), forward, reverse, repeats };
     Ok((table, [forwards, reverses]))
 }

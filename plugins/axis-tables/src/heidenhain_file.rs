@@ -133,12 +133,7 @@ impl Located {
 }
 
 /// The tables of a file along an axis, values in mm and rad as they stand in the file.
-pub fn read(
-    path: &Path,
-    input: usize,
-    model: &dyn KinematicModel,
-    believed: &Believed<'_>,
-) -> Result<Vec<AxisTable>> {
+pub fn read(path: &Path, input: usize, model: &dyn KinematicModel, believed: &Believed<'_>) -> Result<Vec<AxisTable>> {
     let axes = &model.info().axes;
     let file = Columns::read(path, &axes[input], axes)?;
     let along = position_unit(&model.info().axes[input]).1;

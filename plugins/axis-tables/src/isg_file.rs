@@ -29,7 +29,8 @@ fn check_head(
         "kopf.log_achs_nr" => value.parse().ok().and_then(numbered).map(|axis| axes[axis].name.as_str()),
         _ => None,
     };
-    named.map_or(Ok(()), |named| is_of_axis(&axes[output], named, axes, path, line + 1))
+    named
+        .map_or(Ok(()), |named| is_of_axis(&axes[output], named, axes, path, line + 1))
         .map_err(|error| error.setting("existing"))
 }
 

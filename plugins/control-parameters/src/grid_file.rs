@@ -64,7 +64,13 @@ pub fn read(path: &Path, model: &dyn KinematicModel, believed: &Believed<'_>, ne
 fn check_values(row: &Row<'_>, lattice: &Lattice, believed: &Believed<'_>, path: &Path) -> Result<()> {
     let values = row.numbers.iter().skip(lattice.sides.len());
     for (axis, value) in lattice.corrected.iter().zip(values) {
-        believed.value(kind(axis.factor), *value, path, row.line, "is it a file of this exporter, in mm and degrees?")?;
+        believed.value(
+            kind(axis.factor),
+            *value,
+            path,
+            row.line,
+            "is it a file of this exporter, in mm and degrees?",
+        )?;
     }
     Ok(())
 }
