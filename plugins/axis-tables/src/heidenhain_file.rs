@@ -147,16 +147,16 @@ pub fn read(path: &Path, input: usize, model: &dyn KinematicModel, believed: &Be
         let table =
             AxisTable { input, output, positions: positions.clone(), forward: forward.clone(), reverse, repeats };
         let table = table.map(|value| value / of);
-        Placed { table: &table, lines: [&file.lines, &file.lines] }.check(believed, path, model)?;
         tables.push(table);
     }
-    match file.get("BACKLASH").is_some() && !tables.iter().any(|table| table.output == input) {
-        true => {
-            let message = "`BACKLASH` needs the column of the axis that moves";
-            Err(Error::data(message).in_file(path).setting("existing"))
-        }
-        false => Ok(tables),
+    if file.get("BACKLASH").is_some() && !tables.iter().any(|table| table.output == input) {
+        let message = "`BACKLASH` needs the column of the axis that moves";
+        return Err(Error::data(message).in_file(path).setting("existing"));
     }
+    for table in &tables {
+        Placed { table, lines: [&file.lines, &file.lines] }.check(believed, path, model)?;
+    }
+    Ok(tables)
 }
 
 /// The axis that the first line names: `X` of `BEGIN AXIS-X.COM MM`.

@@ -213,9 +213,10 @@ impl Export for Corrections {
             let (largest_mm, ranges) = (self.settings.largest_tip_correction_mm, Ranges::new());
             let settings = ["largest_tip_correction_mm", "largest_deg", "grid"];
             let believed = Believed { settings, ..Believed::new(largest_mm, self.settings.largest_deg, &ranges) };
-            let active = grid_file::read(path, model, &believed, &lattice.sides)?;
+            let active = grid_file::read(path, model, &believed)?;
             let added = lattice.add(&active, DECIMALS);
             added.map_err(|message| Error::usage(message).in_file(path).setting("existing"))?;
+            grid_file::check_coverage(&active, &lattice.sides, path)?;
         }
         Ok(vec![match self.settings.format {
             Format::Csv => file("corrections.csv", csv(&lattice)),

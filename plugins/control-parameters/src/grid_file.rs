@@ -16,8 +16,8 @@ struct Row<'a> {
     numbers: Vec<f64>,
 }
 
-/// The corrections of a file, for a grid with these sides.
-pub fn read(path: &Path, model: &dyn KinematicModel, believed: &Believed<'_>, new: &[Side]) -> Result<Lattice> {
+/// The corrections of a file.
+pub fn read(path: &Path, model: &dyn KinematicModel, believed: &Believed<'_>) -> Result<Lattice> {
     let text = read_text(path, LARGEST_TEXT)
         .map_err(|error| Error::data(format!("it cannot be read: {error}")).in_file(path).setting("existing"))?;
     let wrong = |line: usize, message: String| Error::data(message).at(path, line, None).setting("existing");
@@ -40,7 +40,6 @@ pub fn read(path: &Path, model: &dyn KinematicModel, believed: &Believed<'_>, ne
         let when = when(first.set, model).ok_or_else(|| wrong(first.line, format!("`{}` is no set", first.set)))?;
         let mut values = vec![Vec::new(); nodes];
         for row in rows {
-            check_values(row, &lattice, believed, path).map_err(|error| error.setting("existing"))?;
             let (place, numbers) = row.numbers.split_at(lattice.sides.len());
             let node = values.get_mut(index(&lattice.sides, place)).filter(|values| values.is_empty());
             *node.ok_or_else(|| wrong(row.line, "this node stands in two lines".to_owned()))? = numbers.to_vec();
@@ -51,13 +50,19 @@ pub fn read(path: &Path, model: &dyn KinematicModel, believed: &Believed<'_>, ne
         }
         lattice.sets.push(Set { name: first.set.to_owned(), when, values });
     }
-    for side in &lattice.sides {
-        let Some(of_grid) = new.iter().find(|other| other.column == side.column) else { continue };
+    rows.iter().try_for_each(|row| check_values(row, &lattice, believed, path)).map_err(|error| error.setting("existing"))?;
+    Ok(lattice)
+}
+
+/// Refuses a file with less than half of a grid.
+pub fn check_coverage(active: &Lattice, grid: &[Side], path: &Path) -> Result<()> {
+    for side in &active.sides {
+        let Some(of_grid) = grid.iter().find(|other| other.column == side.column) else { continue };
         let (Some(from), Some(to)) = (of_grid.nodes.first(), of_grid.nodes.last()) else { continue };
-        covers(kind(side.factor), &side.nodes, (*from, *to), path, Some(at), "grid")
+        covers(kind(side.factor), &side.nodes, (*from, *to), path, None, "grid")
             .map_err(|error| error.setting("existing"))?;
     }
-    Ok(lattice)
+    Ok(())
 }
 
 /// Refuses corrections that are not believed.

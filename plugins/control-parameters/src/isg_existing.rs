@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use abbe_compensation::active::Believed;
+use abbe_compensation::rigid::LETTERS;
 use abbe_core::{Axis, AxisKind, Error, Result};
 use abbe_files::{LARGEST_TEXT, read_text};
 
@@ -36,13 +37,17 @@ impl Check<'_> {
         self.believed.value(kind, value * factor, self.path, line, "are they tables of this machine, in mm and rad?")
     }
 
+    /// A location error: `X0C`, ..., `C0C`.
     fn constant(&self, line: usize, name: &str, value: f64) -> Result<()> {
-        match self.axes.iter().any(|axis| name.get(1..).and_then(|rest| rest.strip_prefix('0')) == Some(&axis.name)) {
+        let letter = LETTERS.iter().find_map(|letter| name.strip_prefix(letter));
+        let axis = letter.and_then(|rest| rest.strip_prefix('0'));
+        match axis.is_some_and(|of| self.axes.iter().any(|axis| axis.name == of)) {
             true => self.value(name, value, line),
             false => Ok(()),
         }
     }
 
+    /// An error motion: `EXX`, ..., `ECX`.
     fn motion(&self, name: &str, rows: &[Row]) -> Result<()> {
         let axis = self.axes.iter().find(|axis| name.get(2..) == Some(&axis.name));
         let Some((axis, component)) = axis.zip(name.strip_prefix('E')) else { return Ok(()) };
