@@ -311,7 +311,8 @@ fn names_that_are_too_long_leave_nothing() {
 /// cut.
 #[test]
 fn results_under_long_names_are_replaced_and_kept() {
-    for stem in ["n".repeat(200), "n".repeat(245), format!("{}{}", "n".repeat(199), "é".repeat(23)), "é".repeat(122)] {
+    for stem in ["n".repeat(200), "n".repeat(245), format!("{}{}", "n".repeat(199), "é".repeat(23)), "é".repeat(122)]
+    {
         let small = Small::new();
         let recipe = format!("{stem}.yaml");
         small.write(&recipe, &small.read("recipe.yaml"));
@@ -330,7 +331,11 @@ fn results_under_long_names_are_replaced_and_kept() {
         let outcome = prepared.run(&Monitor::default()).expect("a run");
         small.write(&format!("{place}/fine.calibration.json"), "{ \"edited\": true }");
         let error = outcome.write(&small.path("out")).expect_err("a file is in the way");
-        assert!(error.help.as_ref().is_some_and(|help| help.contains("the results are in")), "{error} {:?}", error.help);
+        assert!(
+            error.help.as_ref().is_some_and(|help| help.contains("the results are in")),
+            "{error} {:?}",
+            error.help
+        );
         let beside = |small: &Small| {
             let entries = fs::read_dir(small.path("out")).expect("a folder").flatten().map(|entry| entry.file_name());
             entries.filter(|name| *name != *stem).collect::<Vec<_>>()

@@ -340,9 +340,11 @@ fn a_run_with_turned_signs_is_told() {
         remarks.filter(|remark| remark.contains(WORDS)).collect::<Vec<String>>()
     };
     // The recipes, as they are and with their second run turned.
-    for (name, ingest, reading) in
-        [("positioning", "linear", "reading_um"), ("positioning", "rotary", "reading_urad"), ("diagonals", "ppp", "reading_um")]
-    {
+    for (name, ingest, reading) in [
+        ("positioning", "linear", "reading_um"),
+        ("positioning", "rotary", "reading_urad"),
+        ("diagonals", "ppp", "reading_um"),
+    ] {
         let (header, rows, place) = rows(&recipe(name).path(ingest, "path"));
         let text = |turned: bool| {
             let line = |row: &Vec<String>| {

@@ -145,7 +145,7 @@ impl Case {
                     let cells: Vec<&str> = line.split(',').collect();
                     format!("{},30,{}", cells[..3].join(","), cells[4..].join(","))
                 }),
-                all(&|line| line.starts_with("forward") || line.starts_with("reverse"), &|line| scaled(line, ',', 1)),
+                Some(beginning(text)),
                 Vec::new(),
             ),
         }
@@ -162,6 +162,16 @@ fn scaled(line: &str, by: char, place: usize) -> String {
     // Whole numbers of twenty-fifths: points keep equal distances, and no more than four decimals.
     cells[place] = (number / 25.0).to_string();
     cells.join(&by.to_string())
+}
+
+/// The first two of five nodes along the first axis of a grid.
+fn beginning(text: &str) -> String {
+    let node = |line: &&str| line.split(',').nth(1).and_then(|cell| cell.parse::<f64>().ok());
+    let mut nodes: Vec<f64> = text.lines().filter_map(|line| node(&line)).collect();
+    nodes.sort_by(f64::total_cmp);
+    nodes.dedup();
+    let kept = text.lines().filter(|line| node(line).is_none_or(|at| at <= nodes[1]));
+    kept.map(|line| format!("{line}\n")).collect()
 }
 
 fn replaced_last(line: &str, by: &str) -> String {

@@ -11,7 +11,6 @@ use abbe_core::{
 use abbe_estimation::{copies, remarks};
 use abbe_recipe::Stage;
 
-use crate::circles::contradicted_angles;
 use crate::evidence;
 use crate::groups::{GroupProblem, is_of};
 use crate::outcome::{Failure, Outcome};
@@ -24,7 +23,7 @@ use crate::row_settings::Wanted;
 use crate::saved::fit_without_rows;
 use crate::statuses;
 use crate::travel::{check_travel, in_travel};
-use crate::units::{likely_fahrenheit, likely_turned, tell_minutes};
+use crate::units::{doubts, tell_minutes};
 
 /// What is known before the first fit.
 struct Known<'a> {
@@ -238,10 +237,7 @@ impl Prepared {
             EstimateSource::Statement => estimator.explain(problem),
             EstimateSource::Combination => {
                 let of = named(stage.reference("of"), fits);
-                estimator.combine(problem, &of).map(|mut combined| {
-                    of.iter().for_each(|fit| statuses::join(&mut combined.fit.statuses, &fit.calibration.fit.statuses));
-                    combined
-                })
+                estimator.combine(problem, &of).map(|combined| statuses::with_those_of(combined, &of))
             }
         };
         let fit = |calibration| fit_without_rows(calibration, problem.model.clone(), estimator);
@@ -302,9 +298,7 @@ impl Prepared {
                 Some((_, made)) => made.clone(),
                 None => Arc::new(self.located(stage, self.ingests[&stage.name].read())?),
             };
-            let told =
-                likely_fahrenheit(&read).into_iter().chain(likely_turned(&read)).chain(contradicted_angles(&read));
-            told.for_each(|told| tracing::warn!("{}: {told}", stage.name));
+            doubts(&read).iter().for_each(|told| tracing::warn!("{}: {told}", stage.name));
             data.insert(stage.name.clone(), read);
         }
         Ok(data)

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Problem, Quantity, SetIndex, StatusRole};
+use abbe_core::{Calibration, Fit, Problem, Quantity, SetIndex, StatusRole};
 
 /// Smallest and largest value by the name of the column.
 pub(crate) type Ranges = BTreeMap<String, [f64; 2]>;
@@ -36,6 +36,12 @@ pub(crate) fn of_problem(problem: &Problem) -> Ranges {
 /// Adds the ranges of another estimate that this one rests on.
 pub(crate) fn join(ranges: &mut Ranges, other: &Ranges) {
     other.iter().for_each(|(name, range)| extend(ranges, name, *range));
+}
+
+/// A calibration that was combined of others, with their ranges.
+pub(crate) fn with_those_of(mut combined: Calibration, of: &[&Fit]) -> Calibration {
+    of.iter().for_each(|fit| join(&mut combined.fit.statuses, &fit.calibration.fit.statuses));
+    combined
 }
 
 fn extend(ranges: &mut Ranges, name: &str, [low, high]: [f64; 2]) {

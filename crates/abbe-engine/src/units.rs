@@ -3,6 +3,8 @@
 use abbe_core::ranges::AT_REST;
 use abbe_core::{Dataset, Quantity};
 
+use crate::circles::contradicted_angles;
+
 /// How far a sensor in °F is from the others at most, once it is converted, K: parts of a machine at rest.
 const ALIKE: f64 = 8.0;
 
@@ -12,8 +14,13 @@ const COVERED: f64 = 0.5;
 /// Seconds in a minute.
 const MINUTE: f64 = 60.0;
 
+/// What is doubtful in the columns of a data set, in words.
+pub(crate) fn doubts(data: &Dataset) -> Vec<String> {
+    [likely_fahrenheit(data), likely_turned(data), contradicted_angles(data)].into_iter().flatten().collect()
+}
+
 /// Columns of temperatures that begin as no machine at rest does, and would if they were in °F, in words.
-pub(crate) fn likely_fahrenheit(data: &Dataset) -> Option<String> {
+fn likely_fahrenheit(data: &Dataset) -> Option<String> {
     let columns = data.columns.iter().filter(|column| column.header.quantity == Quantity::Temperature);
     let first = |name: &str| data.numbers(name)?.iter().copied().find(|value| value.is_finite());
     let firsts: Vec<(&str, f64)> =
@@ -44,7 +51,7 @@ pub(crate) fn likely_fahrenheit(data: &Dataset) -> Option<String> {
 const COLDER: f64 = 20.0;
 
 /// A sensor that begins below zero while all others begin as a machine at rest does, in words.
-pub(crate) fn likely_turned(data: &Dataset) -> Option<String> {
+fn likely_turned(data: &Dataset) -> Option<String> {
     let columns = data.columns.iter().filter(|column| column.header.quantity == Quantity::Temperature);
     let first = |name: &str| data.numbers(name)?.iter().copied().find(|value| value.is_finite());
     let firsts = columns.filter_map(|column| Some((column.header.name.as_str(), first(&column.header.name)?)));

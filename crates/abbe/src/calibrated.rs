@@ -4,8 +4,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use abbe_compensation::{Temperatures, check_no_drift, follows_log};
-use abbe_core::{AxisKind, Branch, Build, Calibration, Context, Error, Kind, KinematicModel, Poses, Registry, Result};
+use abbe_compensation::{Temperatures, check_no_drift, extrapolated, follows_log};
+use abbe_core::{
+    AxisKind, Branch, Build, Calibration, Context, Error, Kind, KinematicModel, Poses, Quantity, Registry, Result,
+};
 use abbe_engine::{RunRecord, model_with_log};
 use abbe_files::{LARGEST_RESULT, read_text};
 use clap::Args;
@@ -316,6 +318,22 @@ fn tips_apart(one: &dyn KinematicModel, other: &dyn KinematicModel) -> Result<f6
     let distance =
         |(one, other): ([f64; 3], [f64; 3])| (0..3).map(|axis| (one[axis] - other[axis]).powi(2)).sum::<f64>().sqrt();
     Ok(tips(one)?.into_iter().zip(tips(other)?).map(distance).fold(0.0, f64::max))
+}
+
+/// Tells, or refuses, loads and temperatures of a program that the calibration does not know ([`extrapolated`]).
+pub fn check_constants(known: &Known, constants: &[(String, (Quantity, f64))]) -> Result<()> {
+    let model = known.model.as_ref();
+    let value = |name: &str| {
+        let found = constants.iter().find(|(of, (quantity, _))| of == name && *quantity != Quantity::Label);
+        found.map_or(0.0, |(_, (_, value))| *value)
+    };
+    let status: Vec<f64> = model.info().status.iter().map(|column| value(&column.name)).collect();
+    let told = extrapolated(model, &known.calibration, &status).map_err(|error| {
+        let message = format!("--constant: {}", error.message);
+        Error { message, pose: None, ..error }
+    })?;
+    told.iter().for_each(|(_, sentence)| tracing::warn!("--constant: {sentence}"));
+    Ok(())
 }
 
 /// Says which axes have no known travel: whether the machine was measured where it is asked for is then not known.

@@ -7,7 +7,7 @@ use std::io::{BufRead, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
-use abbe_compensation::{Settings, Temperatures, check_confounded_anywhere, extrapolated};
+use abbe_compensation::{Settings, Temperatures, check_confounded_anywhere};
 use abbe_controllers::{
     Checked, Coordinates, Dialect, Machine, Options, Summary, Tools, check, compensate, mark, place,
 };
@@ -18,7 +18,7 @@ use abbe_report::number::short;
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
-use crate::calibrated::{Known, counted};
+use crate::calibrated::{Known, check_constants, counted};
 use crate::interrupt;
 use crate::outputs::{cannot_be_written, is_file_name, is_free};
 use crate::written_out::{Origins, WrittenOut};
@@ -222,6 +222,7 @@ impl Asked<'_> {
         let options = self.options.options(self.program, mark(text.as_bytes()))?;
         check_confounded_anywhere(known.model.as_ref(), &known.calibration, &BTreeMap::new())?;
         tell_tool(&known.calibration, &options);
+        check_constants(known, &self.options.constant)?;
         self.options.check_written_out(&options)?;
         let build = |length: Option<f64>| self.machine(known, registry, length);
         let is_there = self.out.is_some_and(|out| out.symlink_metadata().is_ok());
@@ -320,14 +321,6 @@ impl Asked<'_> {
         let values = machine_values(model.as_ref(), &known.calibration);
         let constants: BTreeMap<String, (Quantity, f64)> = self.options.constant.iter().cloned().collect();
         let length = length.or(own).unwrap_or(0.0);
-        let status = model.info().status.iter();
-        let status: Vec<f64> =
-            status.map(|column| constants.get(&column.name).map_or(0.0, |(_, value)| *value)).collect();
-        let told = extrapolated(model.as_ref(), &known.calibration, &status).map_err(|mut error| {
-            error.pose = None;
-            Error { message: format!("--constant: {}", error.message), ..error }
-        })?;
-        told.iter().for_each(|(_, sentence)| tracing::warn!("--constant: {sentence}"));
         Machine::with_constants(model, values, self.settings.clone(), length, known.time, &constants)
     }
 

@@ -11,6 +11,9 @@ use crate::common::{copied_repeats, directions, faults, finite, no_data, run_nam
 /// Positions that are no farther apart are one target: mm or degrees.
 const SAME: f64 = 1e-3;
 
+/// The readings of a run by target and direction (up or not).
+type OfRun = BTreeMap<(usize, bool), f64>;
+
 /// The readings of one axis.
 pub struct Readings {
     /// What was read, by the name of its file.
@@ -23,8 +26,8 @@ pub struct Readings {
     pub targets: Vec<Target>,
     /// All readings in the order of the rows.
     pub in_order: Vec<f64>,
-    /// The readings of each run by target and direction (up or not), where runs have labels.
-    runs: Vec<(String, BTreeMap<(usize, bool), f64>)>,
+    /// The readings of each run, where runs have labels.
+    runs: Vec<(String, OfRun)>,
 }
 
 /// Fewest readings of a run that is compared with the others.
@@ -64,7 +67,7 @@ impl Readings {
         let runs = data.labels("run");
         let count = places.values().max().map_or(0, |last| last + 1);
         let mut targets = vec![Target::default(); count];
-        let mut of_runs: Vec<(String, BTreeMap<(usize, bool), f64>)> = Vec::new();
+        let mut of_runs: Vec<(String, OfRun)> = Vec::new();
         let mut seen: BTreeMap<(&str, bool, usize), DataRow> = BTreeMap::new();
         for row in data.row_indices() {
             let place = places[&(positions[row] * scale).to_bits()];

@@ -202,9 +202,8 @@ impl HeidenhainKinematics {
             return fails("positions have to increase by equal distances".to_owned());
         }
         let known = |name: &str| name == axis || (0..6).any(|six| name == column_name(six));
-        match columns.values.iter().find(|(name, _)| !known(name)) {
-            Some((name, _)) => return fails(format!("columns {axis} and C1 to C6 were expected, not `{name}`")),
-            None => {}
+        if let Some((name, _)) = columns.values.iter().find(|(name, _)| !known(name)) {
+            return fails(format!("columns {axis} and C1 to C6 were expected, not `{name}`"));
         }
         let believed = self.believed();
         let is_believed = || {

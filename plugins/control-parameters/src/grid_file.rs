@@ -50,7 +50,9 @@ pub fn read(path: &Path, model: &dyn KinematicModel, believed: &Believed<'_>) ->
         }
         lattice.sets.push(Set { name: first.set.to_owned(), when, values });
     }
-    rows.iter().try_for_each(|row| check_values(row, &lattice, believed, path)).map_err(|error| error.setting("existing"))?;
+    rows.iter()
+        .try_for_each(|row| check_values(row, &lattice, believed, path))
+        .map_err(|error| error.setting("existing"))?;
     Ok(lattice)
 }
 

@@ -164,7 +164,7 @@ impl IsgVolumetric {
         let Settings { largest_mm, largest_deg, ranges, .. } = &self.settings;
         let believed = Believed::new(*largest_mm, *largest_deg, ranges);
         self.existing.iter().try_for_each(|path| active.read(path, &believed, &model.info().axes))?;
-        let Active { mut constants, mut motions } = active;
+        let Active { mut constants, mut motions, .. } = active;
         for (name, expected) in places(tables) {
             let found = constants.remove(&name).unwrap_or(expected);
             if (found - expected).abs() > SAME {
