@@ -345,7 +345,8 @@ fn a_run_with_turned_signs_is_told() {
         ("positioning", "rotary", "reading_urad"),
         ("diagonals", "ppp", "reading_um"),
     ] {
-        let (header, rows, place) = rows(&recipe(name).path(ingest, "path"));
+        let file = recipe(name).path(ingest, "path");
+        let (header, rows, place) = rows(&file);
         let text = |turned: bool| {
             let line = |row: &Vec<String>| {
                 let mut row = row.clone();
