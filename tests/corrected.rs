@@ -125,3 +125,33 @@ fn tools_and_travels_of_a_machine_file_are_compared() {
         assert_eq!(words.map(|words| text.contains(words)), [false, told[1]], "{name}: {text}");
     }
 }
+
+/// Temperatures from 20 to 24 °C were measured. Where the coefficient was known beforehand nothing is extrapolated.
+#[test]
+fn temperatures_that_were_not_measured_are_told() {
+    let folder = temporary();
+    let at = folder.path();
+    for status in ["estimated", "fixed"] {
+        let mut known = calibration("three-axis");
+        let line = json!({ "thermal": ["dzt"], "at_once": ["T_a"], "reference_degC": 20 });
+        known["model"]["settings"]["errors"].as_array_mut().expect("lines").push(line);
+        let parameter =
+            json!({ "name": "dzt[T_a]", "value": 0.002, "unit": "mm/K", "standard_uncertainty": 0, "status": status });
+        known["parameters"].as_array_mut().expect("parameters").push(parameter);
+        known["fit"]["statuses"] = json!({ "T_a": [20, 24] });
+        write(&at.join("truth.calibration.json"), &known.to_string());
+        for (temperature, is_told) in [(20.5, false), (24.3, false), (27.0, true), (12.0, true), (60.0, true)] {
+            let text = format!("X_mm,Y_mm,Z_mm,T_a_degC\n10,20,-60,22\n10,20,-60,{temperature}\n");
+            write(&at.join("points.csv"), &text);
+            for command in ["compensate", "correct"] {
+                let found = abbe(at, &[command, "truth.calibration.json", "points.csv"]);
+                let text = said(&found.stderr);
+                assert_eq!(found.status, 0, "{command} {temperature}: {text}");
+                let is_told = is_told && status == "estimated";
+                let words =
+                    format!("points.csv:3: `T_a_degC` is {temperature}; the machine was measured from 20 to 24");
+                assert_eq!(text.contains(&words), is_told, "{command} {temperature} {status}: {text}");
+            }
+        }
+    }
+}
