@@ -133,15 +133,14 @@ fn temperatures_that_were_not_measured_are_told() {
     let at = folder.path();
     for status in ["estimated", "fixed"] {
         let mut known = calibration("three-axis");
-        let line = json!({ "thermal": ["dzt"], "at_once": ["T_a"], "reference_degC": 20 });
+        let line = json!({ "expansion": ["EXX"], "temperature": "T_a", "coefficient_per_K": 1e-5 });
         known["model"]["settings"]["errors"].as_array_mut().expect("lines").push(line);
-        let parameter =
-            json!({ "name": "dzt[T_a]", "value": 0.002, "unit": "mm/K", "standard_uncertainty": 0, "status": status });
+        let parameter = json!({ "name": "EXX[expansion]", "value": 1.1e-5, "unit": "1/K", "standard_uncertainty": 0, "status": status });
         known["parameters"].as_array_mut().expect("parameters").push(parameter);
         known["fit"]["statuses"] = json!({ "T_a": [20, 24] });
         write(&at.join("truth.calibration.json"), &known.to_string());
         for (temperature, is_told) in [(20.5, false), (24.3, false), (27.0, true), (12.0, true), (60.0, true)] {
-            let text = format!("X_mm,Y_mm,Z_mm,T_a_degC\n10,20,-60,22\n10,20,-60,{temperature}\n");
+            let text = format!("X_mm,Y_mm,Z_mm,T_a_degC\n100,20,-60,22\n100,20,-60,{temperature}\n");
             write(&at.join("points.csv"), &text);
             for command in ["compensate", "correct"] {
                 let found = abbe(at, &[command, "truth.calibration.json", "points.csv"]);
