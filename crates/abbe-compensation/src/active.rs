@@ -40,7 +40,7 @@ impl<'a> Believed<'a> {
             return Ok(());
         }
         let unit = unit(kind);
-        let message = format!("a value of {value} {unit}, more than {largest} {unit}");
+        let message = format!("a value of {} {unit}, more than {largest} {unit}", rounded(value));
         Err(Error::data(message).at(path, line, None).help(format!("{help} or allow more: `{setting}`")))
     }
 
