@@ -189,7 +189,7 @@ fn temporary_folders_go_with_a_signal() {
     let browser = small.path("browser");
     small.write("browser", "#!/bin/sh\nexec sleep 600\n");
     fs::set_permissions(&browser, fs::Permissions::from_mode(0o755)).expect("permissions");
-    let new = ["new", "beginning", "--chain", "w C' A' b X Y Z t", "--method", "facets"];
+    let new = ["new", "beginning", "--chain", "w C' A' b X Y Z t", "--method", "table"];
     let report = ["report", "known/recipe", "--out", "page.pdf"];
     for (arguments, made) in [(&new[..], "beginning"), (&report[..], "page.pdf")] {
         for (signal, expected) in [("-INT", 130), ("-TERM", 143), ("-HUP", 129)] {
