@@ -327,7 +327,11 @@ pub fn check_constants(known: &Known, constants: &[(String, (Quantity, f64))]) -
         let found = constants.iter().find(|(of, (quantity, _))| of == name && *quantity != Quantity::Label);
         found.map_or(0.0, |(_, (_, value))| *value)
     };
-    let status: Vec<f64> = model.info().status.iter().map(|column| value(&column.name)).collect();
+    let mut status: Vec<f64> = model.info().status.iter().map(|column| value(&column.name)).collect();
+    // Somewhere within the travel: at zero many errors vanish.
+    for axis in &model.info().axes {
+        status[axis.status] = axis.range.map_or(0.1, |[from, to]| from + 0.63 * (to - from));
+    }
     let told = extrapolated(model, &known.calibration, &status).map_err(|error| {
         let message = format!("--constant: {}", error.message);
         Error { message, pose: None, ..error }
