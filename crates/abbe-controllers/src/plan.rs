@@ -174,7 +174,7 @@ impl<'a> Planner<'a> {
     /// The parts of a move between places where an axis turns around.
     fn segments(&mut self, of: &Move, attempt: u32) -> Result<Vec<Segment>> {
         let steps = steps(of) << attempt;
-        let mut found = Vec::new();
+        let mut found = Vec::with_capacity(1);
         let mut push = |part: [f64; 2], directions: Coordinates, last: &mut Coordinates, known: bool| {
             let has_start = !known || directions != *last && of.machine.has_directions();
             let share = ((part[1] - part[0]) * steps as f64).ceil().max(1.0) as usize;
@@ -255,7 +255,7 @@ impl<'a> Planner<'a> {
     /// The pieces of a move from its corrected points.
     fn pieces(&mut self, of: &Move, segments: &[Segment], corrected: &[Coordinates], attempt: u32) -> Vec<Piece> {
         let grid = Grid::new(self.options, of);
-        let mut pieces = Vec::new();
+        let mut pieces = Vec::with_capacity(segments.len());
         let mut rest = corrected;
         for segment in segments {
             let (own, after) = rest.split_at(segment.points());
@@ -343,7 +343,8 @@ const MOST_STEPS: usize = 1 << 16;
 
 /// The points that have to be computed, and the index of the move of each.
 fn points_of(moves: &[Box<Move>], segments: &[Vec<Segment>]) -> (Vec<Point>, Vec<usize>) {
-    let (mut points, mut owners) = (Vec::new(), Vec::new());
+    let count = segments.iter().flatten().map(Segment::points).sum();
+    let (mut points, mut owners) = (Vec::with_capacity(count), Vec::with_capacity(count));
     for (index, (of, segments)) in moves.iter().zip(segments).enumerate() {
         for segment in segments {
             for step in usize::from(!segment.has_start)..=segment.steps {
@@ -381,8 +382,10 @@ fn located(mut error: Error, owners: &[usize]) -> Error {
 
 /// The largest distance of the tip from the programmed path along moves: index of the move, mm.
 fn remaining(planned: &[Planned]) -> Result<Vec<(usize, f64)>> {
-    let (mut points, mut goals, mut owners) = (Vec::new(), Vec::new(), Vec::new());
     let Some(first) = planned.first() else { return Ok(Vec::new()) };
+    let count = planned.iter().flat_map(|own| &own.pieces).map(|piece| piece.steps).sum();
+    let (mut points, mut goals) = (Vec::with_capacity(count), Vec::with_capacity(count));
+    let mut owners = Vec::with_capacity(count);
     for (index, own) in planned.iter().enumerate() {
         for piece in own.pieces.iter().filter(|piece| piece.purpose == Purpose::Path) {
             looked_at(piece, own, &mut points, &mut goals);

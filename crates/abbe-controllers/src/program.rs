@@ -44,8 +44,8 @@ pub struct Summary {
 /// Longest line that is read, bytes.
 const LONGEST_LINE: usize = 1 << 16;
 
-/// Moves that are planned together.
-const TOGETHER: usize = 512;
+/// Lines that are planned together: few enough that their memory stays with the process and in the cache.
+const TOGETHER: usize = 128;
 
 /// Corrects a program: reads `source` to its end and writes the corrected text to `out`. `build` gives the machine with a tool of a
 /// length, that of the calibration without one.
@@ -263,6 +263,7 @@ impl Run<'_, '_> {
             number.map_or_else(|| error.clone(), |number| error.clone().at(&self.options.file, *number, None))
         })?;
         let mut planned = planned.into_iter();
+        let mut text = Vec::new();
         for (waiting, number) in std::mem::take(&mut self.waiting) {
             match waiting {
                 Waiting::Text(text, motion) => {
@@ -271,7 +272,7 @@ impl Run<'_, '_> {
                 }
                 Waiting::Move(line) => {
                     let Some(own) = planned.next() else { continue };
-                    let mut text = Vec::new();
+                    text.clear();
                     self.emitter.lines(&own, &line, &mut text);
                     self.count(&own, number);
                     (self.keep)(Some(&own), &text, number)?;
