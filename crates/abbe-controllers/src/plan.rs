@@ -36,6 +36,24 @@ pub(crate) struct Piece {
     pub(crate) steps: usize,
 }
 
+/// What a line that is copied does with an axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Moved {
+    /// It stays where it stands.
+    No,
+    /// It comes to a position, which may be unknown.
+    To,
+    /// It moves by this, mm or degrees, from where it stands.
+    By(f64),
+}
+
+impl Moved {
+    /// Axes that come to positions; the others stay.
+    pub(crate) fn to(named: [bool; 9]) -> [Self; 9] {
+        named.map(|is_named| if is_named { Self::To } else { Self::No })
+    }
+}
+
 /// A move with its pieces.
 pub(crate) struct Planned {
     pub(crate) of: Box<Move>,
@@ -77,15 +95,20 @@ impl<'a> Planner<'a> {
     }
 
     /// Axes have moved without a correction; the others stand where they were written.
-    pub(crate) fn jumped(&mut self, at: &[Option<f64>; 9], moved: &[bool; 9]) {
+    pub(crate) fn jumped(&mut self, at: &[Option<f64>; 9], moved: &[Moved; 9]) {
         let known = |axis: usize| match self.written {
             Some(written) => Some(written[axis]).filter(|_| self.known[axis]),
             None => self.options.start[axis],
         };
         let before: [Option<f64>; 9] = std::array::from_fn(known);
         let is_first = self.written.is_none();
-        let now: [Option<f64>; 9] =
-            std::array::from_fn(|axis| if moved[axis] || is_first { at[axis] } else { before[axis] });
+        let now: [Option<f64>; 9] = std::array::from_fn(|axis| match moved[axis] {
+            _ if is_first => at[axis],
+            Moved::No => before[axis],
+            Moved::To => at[axis],
+            // From where it was written, which is not where the program has it.
+            Moved::By(way) => before[axis].map(|before| before + way),
+        });
         for axis in 0..9 {
             if let (Some(before), Some(now)) = (before[axis], now[axis])
                 && now != before

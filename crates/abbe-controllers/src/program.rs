@@ -12,7 +12,7 @@ use crate::emit::Emitter;
 use crate::machine::{Machine, Point, Space};
 use crate::modal::{MachineOf, letter};
 use crate::options::{MARK, Options};
-use crate::plan::{Planned, Planner, Purpose};
+use crate::plan::{Moved, Planned, Planner, Purpose};
 
 /// What became of a program.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -184,7 +184,7 @@ impl Run<'_, '_> {
                     *own == space && (space == Space::Joints || Rc::ptr_eq(machine, &self.reader.modal.machine))
                 };
                 let stays = self.frame.as_ref().is_some_and(is_same);
-                self.planner.jumped(&at, if stays { &moved } else { &[true; 9] });
+                self.planner.jumped(&at, if stays { &moved } else { &[Moved::To; 9] });
                 self.frame = Some((space, Rc::clone(&self.reader.modal.machine)));
             }
             Action::Move(_) if self.is_perfect => {
