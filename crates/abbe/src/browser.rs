@@ -100,12 +100,18 @@ fn program() -> Result<String> {
     if let Some(name) = std::env::var(VARIABLE).ok().filter(|name| !name.is_empty()) {
         return Ok(name);
     }
-    let answers = |name: &&str| {
-        let asked = Command::new(name).arg("--version").stdin(Stdio::null()).output();
-        asked.is_ok_and(|output| output.status.success())
-    };
-    let found = NAMES.into_iter().find(answers).map(str::to_owned);
-    found.ok_or_else(|| Error::usage("there is no browser that prints the page as PDF").help(help()))
+    let mut why = None;
+    for name in NAMES {
+        match Command::new(name).arg("--version").stdin(Stdio::null()).output() {
+            Ok(answer) if answer.status.success() => return Ok(name.to_owned()),
+            Ok(answer) => why = why.or_else(|| Some(format!("`{name}` does not start here ({})", answer.status))),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+            Err(error) => why = why.or_else(|| Some(format!("`{name}` does not start here: {error}"))),
+        }
+    }
+    // What is installed may not start where processes, files or memory are limited.
+    let why = why.unwrap_or_else(|| "there is no browser that prints the page as PDF".to_owned());
+    Err(Error::usage(why).help(help()))
 }
 
 /// Whether a folder that was just made belongs to root.
