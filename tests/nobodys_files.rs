@@ -342,3 +342,45 @@ fn names_that_are_too_long_leave_nothing() {
         assert_eq!(tree(small.folder.path()), before);
     }
 }
+
+/// Names of 200 bytes and more, which leave no room for a longer one beside them; in one of them a letter of two bytes stands where it is
+/// cut.
+#[test]
+fn results_under_long_names_are_replaced_and_kept() {
+    for stem in ["n".repeat(200), "n".repeat(245), format!("{}{}", "n".repeat(199), "é".repeat(23)), "é".repeat(122)]
+    {
+        let small = Small::new();
+        let recipe = format!("{stem}.yaml");
+        small.write(&recipe, &small.read("recipe.yaml"));
+        let run = || small.abbe(&["run", &recipe, "--out", "out"]);
+        let place = format!("out/{stem}");
+        assert_eq!(run().status, 0);
+        let results = tree(&small.path(&place));
+        small.write(&format!("{place}/notes.txt"), "mine");
+        let again = run();
+        assert_eq!(again.status, 0, "{}: {}", stem.len(), again.stderr);
+        assert_eq!(small.read(&format!("{place}/notes.txt")), "mine");
+        assert_eq!(tree(&small.path(&place)).len(), results.len() + 1, "{}", stem.len());
+        assert_eq!(fs::read_dir(small.path("out")).expect("a folder").count(), 1, "{}", stem.len());
+        // A result that somebody changed while the run went on: the new ones are kept beside it, and later runs leave them there.
+        let prepared = prepare(&small.path(&recipe), &registry()).expect("a recipe");
+        let outcome = prepared.run(&Monitor::default()).expect("a run");
+        small.write(&format!("{place}/fine.calibration.json"), "{ \"edited\": true }");
+        let error = outcome.write(&small.path("out")).expect_err("a file is in the way");
+        assert!(
+            error.help.as_ref().is_some_and(|help| help.contains("the results are in")),
+            "{error} {:?}",
+            error.help
+        );
+        let beside = |small: &Small| {
+            let entries = fs::read_dir(small.path("out")).expect("a folder").flatten().map(|entry| entry.file_name());
+            entries.filter(|name| *name != *stem).collect::<Vec<_>>()
+        };
+        let kept = beside(&small);
+        assert!(kept.len() == 1 && kept[0].to_string_lossy().ends_with("-new-1"), "{kept:?}");
+        fs::remove_file(small.path(&place).join("fine.calibration.json")).expect("a file");
+        assert_eq!(run().status, 0);
+        assert_eq!(beside(&small), kept);
+        assert!(small.path("out").join(&kept[0]).join("fine.calibration.json").is_file());
+    }
+}

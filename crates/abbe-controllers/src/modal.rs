@@ -70,6 +70,9 @@ pub(crate) struct Modal {
     /// Whether the program has said its unit, and whether its numbers are absolute.
     pub(crate) has_unit: bool,
     pub(crate) has_distance: bool,
+    /// Whether the program has named a work offset, or that none acts; and whether one acts that it has not named.
+    has_system: bool,
+    pub(crate) uses_unnamed_system: bool,
 }
 
 /// What a block asks for besides its modal codes.
@@ -130,6 +133,8 @@ impl Modal {
             assumed: Vec::new(),
             has_unit: false,
             has_distance: false,
+            has_system: false,
+            uses_unnamed_system: false,
         }
     }
 
@@ -137,6 +142,7 @@ impl Modal {
     pub(crate) fn offset(&mut self) -> Coordinates {
         let mut offset = self.shift;
         if let Some(system) = self.system {
+            self.uses_unnamed_system |= !self.has_system;
             if !self.known[system] && !self.assumed.contains(&system) {
                 self.assumed.push(system);
             }
@@ -213,7 +219,7 @@ impl Modal {
                 Meaning::ArcAbsolute(absolute) => self.arc_absolute = absolute,
                 Meaning::FeedPerTime => self.inverse = false,
                 Meaning::InverseTime => self.inverse = true,
-                Meaning::System(system) => self.system = system,
+                Meaning::System(system) => (self.system, self.has_system) = (system, true),
                 Meaning::ToolLength => length = Some((word, true)),
                 Meaning::ToolLengthOff => {
                     length = Some((word, false));

@@ -98,6 +98,7 @@ pub(crate) fn run(
         moves: Vec::new(),
         summary: Summary::default(),
         is_marked: false,
+        has_told_system: false,
         frame: None,
     };
     let mut lines = Lines::new(source, options);
@@ -154,6 +155,8 @@ struct Run<'a, 'b> {
     moves: Vec<Box<Move>>,
     summary: Summary,
     is_marked: bool,
+    /// Whether it was told that no work offset is named.
+    has_told_system: bool,
     /// In which coordinates, and with which tool, the last move was.
     frame: Option<(Space, Rc<Machine>)>,
 }
@@ -223,6 +226,12 @@ impl Run<'_, '_> {
             self.summary.remarks.push(text);
         }
         (modal.has_unit, modal.has_distance) = (true, true);
+        // Other controls begin with G54; here it is a parameter, and often none acts (G500).
+        if dialect == Dialect::Siemens && modal.uses_unnamed_system && !self.has_told_system {
+            self.has_told_system = true;
+            let text = format!("Line {number}: no work offset (G54, .., G500) is named before this move; G54 counts");
+            self.summary.remarks.push(text);
+        }
     }
 
     /// Another tool, or other coordinates: where the axes stand is told in them.

@@ -18,7 +18,7 @@ use abbe_report::number::short;
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
-use crate::calibrated::{Known, counted};
+use crate::calibrated::{Known, check_constants, counted};
 use crate::interrupt;
 use crate::outputs::{cannot_be_written, is_file_name, is_free};
 use crate::written_out::{Origins, WrittenOut};
@@ -222,6 +222,7 @@ impl Asked<'_> {
         let options = self.options.options(self.program, mark(text.as_bytes()))?;
         check_confounded_anywhere(known.model.as_ref(), &known.calibration, &BTreeMap::new())?;
         tell_tool(&known.calibration, &options);
+        check_constants(known, &self.options.constant)?;
         self.options.check_written_out(&options)?;
         let build = |length: Option<f64>| self.machine(known, registry, length);
         let is_there = self.out.is_some_and(|out| out.symlink_metadata().is_ok());
