@@ -6,7 +6,7 @@ use std::path::Path;
 use abbe_core::Monitor;
 use abbe_engine::prepare;
 
-use crate::support::{Small, recipes, registry, temporary, tree};
+use crate::support::{Small, abbe, recipes, registry, temporary, tree};
 
 fn run(small: &Small, out: &str) -> (i32, String) {
     let printed = small.abbe(&["run", "recipe.yaml", "--out", out]);
@@ -252,6 +252,42 @@ fn a_slash_behind_the_name_of_a_file_does_not_replace_it() {
     }
     assert_eq!(small.read("mine.txt"), "mine");
     assert!(!small.path("mine.txt-new-1").exists());
+}
+
+/// The folder in which a command runs is not replaced under it, whatever it is called; others are written by any of their names.
+#[test]
+fn an_empty_folder_may_be_named_in_several_ways() {
+    let folder = temporary();
+    let here = folder.path().join("here");
+    fs::create_dir(&here).expect("a folder");
+    let new = |out: &str| abbe(&here, &["new", out, "--chain", "w b X Y Z t", "--method", "ball"]);
+    for out in [".", "./", "../here", "../here/.", "../here/"] {
+        let printed = new(out);
+        assert!(
+            printed.status == 1 && printed.stderr.contains("the folder that this command runs in"),
+            "{out}: {}",
+            printed.stderr
+        );
+        assert!(tree(&here).is_empty(), "{out}");
+    }
+    for out in ["new", "other/.", "third/", "link/", "deep/er/./"] {
+        #[cfg(unix)]
+        if out == "link/" {
+            fs::create_dir(here.join("led")).expect("a folder");
+            std::os::unix::fs::symlink("led", here.join("link")).expect("a link");
+        }
+        let printed = new(out);
+        assert_eq!(printed.status, 0, "{out}: {}", printed.stderr);
+        assert!(!tree(&here.join(out)).is_empty(), "{out}");
+    }
+    let entries = |folder: &Path| -> Vec<String> {
+        let names = fs::read_dir(folder).expect("a folder").flatten().map(|entry| entry.file_name());
+        let mut names: Vec<String> = names.map(|name| name.to_string_lossy().into_owned()).collect();
+        names.sort();
+        names
+    };
+    assert_eq!(entries(&here), ["deep", "led", "link", "new", "other", "third"]);
+    assert_eq!(entries(folder.path()), ["here"]);
 }
 
 /// What a killed command has left is removed by the next one; what somebody else calls alike, or still writes, is not.

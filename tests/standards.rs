@@ -310,6 +310,27 @@ fn what_is_no_test_is_told_or_decides_nothing() {
     }
     let quiet = told("positioning", "rotary", &move |rows, place| a_thousandth(rows, place("reading_urad")));
     assert!(remarks(&quiet).contains(words[2]), "{}", remarks(&quiet));
+    // Positions with the wrong sign: rows run against their directions. Rows that are sorted do not.
+    let against = "run to smaller positions";
+    for (name, ingest) in [("positioning", "linear"), ("positioning", "rotary"), ("diagonals", "ppp")] {
+        let negated = |rows: &mut Cells, position: usize| {
+            rows.iter_mut()
+                .for_each(|row| row[position] = (-row[position].parse::<f64>().expect("a number")).to_string());
+        };
+        let unit = if ingest == "rotary" { "position_deg" } else { "position_mm" };
+        let turned = told(name, ingest, &move |rows, place| negated(rows, place(unit)));
+        assert!(remarks(&turned).contains(against), "{name} {ingest}: {}", remarks(&turned));
+        let stage = if name == "diagonals" { "diagonals" } else { name };
+        let of_run = |figure: &&Figure| figure.name.contains(&format!("[{ingest}]")) && figure.limit.is_some();
+        let limited: Vec<&Figure> = figures(&turned, stage).iter().filter(of_run).collect();
+        assert!(limited.iter().all(|figure| figure.inconclusive.is_some()), "{limited:?}");
+        let sorted = told(name, ingest, &move |rows, place| {
+            let at = place(unit);
+            let position = |row: &[String]| row[at].parse::<f64>().expect("a number");
+            rows.sort_by(|one, other| position(other).total_cmp(&position(one)));
+        });
+        assert!(!remarks(&sorted).contains(against), "{name} {ingest}: {}", remarks(&sorted));
+    }
     // Three rows decide nothing; nor does one diagonal of four.
     let short = told("rotary-interpolation", "read-c", &|rows, _| rows.truncate(3));
     let of_c: Vec<&Figure> = figures(&short, "c-axis").iter().filter(|figure| figure.limit.is_some()).collect();

@@ -350,7 +350,7 @@ impl Modal {
     }
 
     /// Carries out `G10 L2`, or `G52`.
-    pub(crate) fn set_offsets(&mut self, special: Special, line: &Line) -> Result<(), Refusal> {
+    pub(crate) fn set_offsets(&mut self, special: Special, line: &Line, options: &Options) -> Result<(), Refusal> {
         let value = |letter: u8| line.words.iter().find(|word| word.letter == letter);
         let first = line.words.iter().find(|word| word.letter == b'G');
         let of_block = |what: &str, help: &str| match first {
@@ -363,6 +363,10 @@ impl Modal {
                 let is_plain = value(b'L').is_some_and(|word| word.value == 2.0) && value(b'R').is_none();
                 let number = value(b'P').map(|word| word.value).filter(|number| (0.0..=9.0).contains(number));
                 match number {
+                    Some(0.0) if is_plain && options.dialect.has_external_offset() => {
+                        let help = "write P1 to P6, or say it by `--offset`";
+                        return Err(of_block("`G10 L2 P0` is an offset that acts on top of the others", help));
+                    }
                     Some(number) if is_plain && !self.relative => match number as usize {
                         0 => self.system,
                         number => Some(number - 1),

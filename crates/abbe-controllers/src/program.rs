@@ -12,7 +12,7 @@ use crate::emit::Emitter;
 use crate::machine::{Machine, Point, Space};
 use crate::modal::{MachineOf, letter};
 use crate::options::{MARK, Options};
-use crate::plan::{Planned, Planner, Purpose};
+use crate::plan::{Moved, Planned, Planner, Purpose};
 
 /// What became of a program.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -44,8 +44,8 @@ pub struct Summary {
 /// Longest line that is read, bytes.
 const LONGEST_LINE: usize = 1 << 16;
 
-/// Moves that are planned together.
-const TOGETHER: usize = 512;
+/// Lines that are planned together: few enough that their memory stays with the process and in the cache.
+const TOGETHER: usize = 128;
 
 /// Corrects a program: reads `source` to its end and writes the corrected text to `out`. `build` gives the machine with a tool of a
 /// length, that of the calibration without one.
@@ -187,7 +187,7 @@ impl Run<'_, '_> {
                     *own == space && (space == Space::Joints || Rc::ptr_eq(machine, &self.reader.modal.machine))
                 };
                 let stays = self.frame.as_ref().is_some_and(is_same);
-                self.planner.jumped(&at, if stays { &moved } else { &[true; 9] });
+                self.planner.jumped(&at, if stays { &moved } else { &[Moved::To; 9] });
                 self.frame = Some((space, Rc::clone(&self.reader.modal.machine)));
             }
             Action::Move(_) if self.is_perfect => {
@@ -272,6 +272,7 @@ impl Run<'_, '_> {
             number.map_or_else(|| error.clone(), |number| error.clone().at(&self.options.file, *number, None))
         })?;
         let mut planned = planned.into_iter();
+        let mut text = Vec::new();
         for (waiting, number) in std::mem::take(&mut self.waiting) {
             match waiting {
                 Waiting::Text(text, motion) => {
@@ -280,7 +281,7 @@ impl Run<'_, '_> {
                 }
                 Waiting::Move(line) => {
                     let Some(own) = planned.next() else { continue };
-                    let mut text = Vec::new();
+                    text.clear();
                     self.emitter.lines(&own, &line, &mut text);
                     self.count(&own, number);
                     (self.keep)(Some(&own), &text, number)?;

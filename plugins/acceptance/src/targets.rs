@@ -28,6 +28,8 @@ pub struct Readings {
     pub in_order: Vec<f64>,
     /// The readings of each run, where runs have labels.
     runs: Vec<(String, OfRun)>,
+    /// Whether the rows of both directions run against them.
+    is_turned: bool,
 }
 
 /// Fewest readings of a run that is compared with the others.
@@ -94,7 +96,12 @@ impl Readings {
             return Err(wrong(data, "there are fewer than two targets"));
         }
         let in_order = readings.iter().map(|reading| reading * factor).collect();
-        Ok(Self { name: run_name(data), axis, unit, targets, in_order, runs: of_runs })
+        let of_one_run = |row: usize| runs.is_none_or(|runs| runs[DataRow(row)] == runs[DataRow(row - 1)]);
+        let steps = (1..positions.len())
+            .filter(|row| ways[*row] == ways[row - 1] && of_one_run(*row))
+            .map(|row| (ways[row], (positions[row] - positions[row - 1]) * scale));
+        let is_turned = run_against_directions(steps);
+        Ok(Self { name: run_name(data), axis, unit, targets, in_order, runs: of_runs, is_turned })
     }
 
     /// Faults of the instrument, and repeats that are copies where these were not told already.
@@ -103,7 +110,12 @@ impl Readings {
         let groups: Vec<Vec<f64>> =
             self.targets.iter().flat_map(|target| [target.up.clone(), target.down.clone()]).collect();
         let copied = copied_repeats("targets", &groups).filter(|_| !is_told && found.is_empty());
-        found.into_iter().chain(copied).collect()
+        let turned = self.is_turned.then(|| {
+            "rows with `direction` 1 run to smaller positions, and those with -1 to larger ones: has `position` the wrong sign, or \
+             `direction`?"
+                .to_owned()
+        });
+        found.into_iter().chain(copied).chain(turned).collect()
     }
 
     /// A run that is like the others with all its signs turned, in words.
@@ -150,6 +162,21 @@ impl Readings {
         let least = |counts: Vec<usize>| counts.iter().any(|count| *count > 0).then(|| counts.into_iter().min());
         [least(up), least(down)].into_iter().flatten().flatten().min().unwrap_or(0)
     }
+}
+
+/// Whether rows of the positive direction run to smaller positions, and rows of the negative direction to larger ones, all of them:
+/// steps from a row to the next with their directions.
+///
+/// Rows that are sorted by their positions run one way in both directions, and tell nothing.
+fn run_against_directions(steps: impl Iterator<Item = (bool, f64)>) -> bool {
+    let mut against = [false; 2];
+    for (way, step) in steps.filter(|(_, step)| step.abs() > SAME) {
+        if way == (step > 0.0) {
+            return false;
+        }
+        against[usize::from(way)] = true;
+    }
+    against == [true; 2]
 }
 
 /// The place of every position among the targets.

@@ -21,7 +21,7 @@ pub struct Linear {
     pub expansion_range: f64,
     /// How far the temperature is from 20 °C, K.
     pub offset: f64,
-    /// Range of the change between two readings of the test by drift, E_VE, µm.
+    /// Range of the drift between two readings, E_VE, µm.
     pub drift_range: f64,
 }
 
@@ -30,7 +30,7 @@ pub struct Linear {
 pub struct Rotary {
     /// Expanded uncertainty (k = 2) of the device, µrad.
     pub device: f64,
-    /// Range of the change between two readings of the test by drift, E_VE, µrad.
+    /// Range of the drift between two readings, E_VE, µrad.
     pub drift_range: f64,
 }
 
