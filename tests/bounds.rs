@@ -363,7 +363,7 @@ fn a_long_chain_of_sets_ends() {
 #[test]
 fn without_more_threads_the_results_are_the_same() {
     let small = Small::new();
-    let trials = "  trials: { estimate: monte-carlo, of: fine, trials: 500, seed: 1 }\n  judge:";
+    let trials = "  trials: { estimate: monte-carlo, of: fine, trials: 2000, seed: 1 }\n  judge:";
     small.write(RECIPE, &small.read(RECIPE).replace("  judge:", trials));
     let run = |out: &str, memory_kib: &str, stack: u64| {
         let limited = "ulimit -v \"$0\" && exec \"$@\"";

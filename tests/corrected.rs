@@ -39,7 +39,11 @@ fn loads_that_were_not_measured_are_told() {
             let found = abbe(at, &[&[command, result, "points.csv"][..], more].concat());
             let text = said(&found.stderr);
             assert_eq!(found.status, i32::from(is_refused), "{command} {load}: {text}");
-            assert_eq!(text.contains("points.csv:3: `load_N` is"), is_told, "{command} {load}: {text}");
+            assert_eq!(
+                text.contains("`load_N` is") && text.contains("points.csv:3:"),
+                is_told,
+                "{command} {load}: {text}"
+            );
             assert_eq!(
                 text.contains("corrections are extrapolated"),
                 is_told && !is_refused,
