@@ -45,7 +45,7 @@ pub(crate) enum Action {
     /// It is copied. The motion that it makes modal, if it does.
     Copy(Option<Motion>),
     /// It is copied, and the axes stand at these positions afterwards, if they were moved to them.
-    Jump { at: [Option<f64>; 9], moved: [Moved; 9], space: Space, motion: Option<Motion>, is_rapid: bool },
+    Jump { at: [Option<f64>; 9], moved: Box<[Moved; 9]>, space: Space, motion: Option<Motion>, is_rapid: bool },
     /// A move to correct.
     Move(Box<Move>),
 }
@@ -213,7 +213,7 @@ impl<'a> Reader<'a> {
     }
 
     pub(crate) fn jump(&self, motion: Option<Motion>, is_rapid: bool, moved: [Moved; 9]) -> Action {
-        Action::Jump { at: self.modal.at, moved, space: self.modal.space, motion, is_rapid }
+        Action::Jump { at: self.modal.at, moved: Box::new(moved), space: self.modal.space, motion, is_rapid }
     }
 
     pub(crate) fn machine_block(&mut self, line: &Line) -> Result<(), Refusal> {
