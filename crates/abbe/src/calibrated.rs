@@ -320,6 +320,18 @@ fn tips_apart(one: &dyn KinematicModel, other: &dyn KinematicModel) -> Result<f6
     Ok(tips(one)?.into_iter().zip(tips(other)?).map(distance).fold(0.0, f64::max))
 }
 
+/// Errors of the set-up belong to one tool: tells so where a program has tools of its own.
+pub fn tell_tool(calibration: &Calibration, has_tools: bool) {
+    let own = ["dxt", "dyt", "dzt"].into_iter();
+    let set_up: Vec<&str> = own.filter(|name| calibration.get(name).is_some_and(|known| known.value != 0.0)).collect();
+    if has_tools && !set_up.is_empty() {
+        tracing::warn!(
+            "{} belong to the tool of the calibration, and are corrected for the tools of this program, too",
+            set_up.join(", ")
+        );
+    }
+}
+
 /// Tells, or refuses, loads and temperatures of a program that the calibration does not know ([`extrapolated`]).
 pub fn check_constants(known: &Known, constants: &[(String, (Quantity, f64))]) -> Result<()> {
     let model = known.model.as_ref();
