@@ -141,6 +141,15 @@ fn temperatures_that_were_not_measured_are_told() {
         known["model"]["settings"]["errors"].as_array_mut().expect("lines").push(line);
         let parameter = json!({ "name": "EXX[expansion]", "value": 1.1e-5, "unit": "1/K", "standard_uncertainty": 0, "status": status });
         known["parameters"].as_array_mut().expect("parameters").push(parameter);
+        if status == "estimated" {
+            let covariance = &mut known["covariance"];
+            let rows = covariance["rows"].as_array_mut().expect("rows");
+            rows.iter_mut().for_each(|row| row.as_array_mut().expect("a row").push(json!(0)));
+            let mut own = vec![json!(0); rows.len()];
+            own.push(json!(1e-14));
+            rows.push(json!(own));
+            covariance["order"].as_array_mut().expect("names").push(json!("EXX[expansion]"));
+        }
         known["fit"]["statuses"] = json!({ "T_a": [20, 24] });
         write(&at.join("truth.calibration.json"), &known.to_string());
         for (temperature, is_told) in [(20.5, false), (24.3, false), (27.0, true), (12.0, true), (60.0, true)] {
