@@ -139,7 +139,8 @@ fn temperatures_that_were_not_measured_are_told() {
         let mut known = calibration("three-axis");
         let line = json!({ "expansion": ["EXX"], "temperature": "T_a", "coefficient_per_K": 1e-5 });
         known["model"]["settings"]["errors"].as_array_mut().expect("lines").push(line);
-        let parameter = json!({ "name": "EXX[expansion]", "value": 1.1e-5, "unit": "1/K", "standard_uncertainty": 0, "status": status });
+        let own = if status == "estimated" { 1e-7 } else { 0.0 };
+        let parameter = json!({ "name": "EXX[expansion]", "value": 1.1e-5, "unit": "1/K", "standard_uncertainty": own, "status": status });
         known["parameters"].as_array_mut().expect("parameters").push(parameter);
         if status == "estimated" {
             let covariance = &mut known["covariance"];
