@@ -224,6 +224,10 @@ fn from_step<'a>(
     }
 }
 
+/// Path, mm, beside a step on which an axis may turn around where the tip is programmed. An axis that begins with the slope zero, as Z
+/// does when a head tilts, moves by less than a nanometre there.
+const TURNING: f64 = 0.02;
+
 /// The directions that the axes may have in a step of the path. Where the tip is programmed an axis turns around somewhere in the steps
 /// beside, and each at a place of its own.
 fn approaches(goal: &Goal, step: usize, is_tip: bool) -> Vec<ByAxis> {
@@ -232,9 +236,13 @@ fn approaches(goal: &Goal, step: usize, is_tip: bool) -> Vec<ByAxis> {
     if !is_tip {
         return found;
     }
-    let beside = [Some(&goal.directions[step]), goal.directions.get(step + 2)];
+    let before =
+        (0..=step).rev().take_while(|other| *other == step || goal.length[step] - goal.length[*other] <= TURNING);
+    let after = (step + 2..goal.directions.len())
+        .take_while(|other| *other == step + 2 || goal.length[*other - 1] - goal.length[step + 1] <= TURNING);
+    let beside: Vec<&ByAxis> = before.chain(after).map(|other| &goal.directions[other]).collect();
     for (axis, direction) in own {
-        if beside.iter().flatten().any(|other| other.get(axis).unwrap_or(&1.0) != direction) {
+        if beside.iter().any(|other| other.get(axis).unwrap_or(&1.0) != direction) {
             let turned: Vec<ByAxis> = found
                 .iter()
                 .cloned()
