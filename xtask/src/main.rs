@@ -122,9 +122,9 @@ fn fuzz(build: &[&str], count: &str, seed: &str, targets: &[&str]) -> Outcome {
 }
 
 /// The benchmark that tells how fast the machine is.
-const UNIT: &str = "matrix_product_256";
+const UNIT: &str = "qr_384_115";
 
-/// Runs the benchmarks and compares them, as multiples of a matrix product measured in the same run, with the baseline.
+/// Runs the benchmarks and compares them, as multiples of a QR decomposition measured in the same run, with the baseline.
 fn bench(save: bool) -> Outcome {
     run(cargo(&["bench", "--package", "abbe-benches", "--locked"]))?;
     let mut seconds = BTreeMap::new();

@@ -29,8 +29,9 @@ use crate::peer::{Answer, Failure, Peer, Received};
 use crate::questions::{check_poses, check_rows, guarded};
 use crate::sandbox::named;
 use crate::served::Served;
+use crate::spare::Spare;
 use time::Time;
-use wire::{Frame, Reference, Wire};
+use wire::{Content, Frame, Reference, Wire};
 
 pub use child::serve;
 
@@ -64,6 +65,8 @@ pub(crate) struct Connection {
     objects: Mutex<Objects>,
     /// Objects of the other side that are released with the next question.
     released: Mutex<Vec<u64>>,
+    /// Poses for the next answer.
+    spare: Spare,
     /// The other process; none in the process that was started for a plugin.
     child: Option<Arc<Mutex<Child>>>,
     /// Passes on what the other process says on its standard error.
@@ -146,27 +149,35 @@ impl Connection {
             return Ok(());
         }
         match guarded(|| self.work(question, numbers)) {
-            Ok((frame, numbers)) => {
-                let lists: Vec<&[f64]> = numbers.iter().map(Vec::as_slice).collect();
-                wire.write(&frame, &lists, self.time.until(started))
+            Ok((frame, content)) => {
+                wire.write(&frame, &content.lists(), self.time.until(started))?;
+                self.keep(content);
+                Ok(())
             }
             Err(failure) => wire.write(&Frame::Failed(failure), &[], self.time.until(started)),
         }
     }
 
-    fn work(self: &Arc<Self>, question: Frame, numbers: &[f64]) -> Result<(Frame, Vec<Vec<f64>>), Failure> {
+    /// Keeps the room of an answer that was given for the next one.
+    fn keep(&self, content: Content) {
+        if let Content::Poses(poses) = content {
+            self.spare.give_back(poses);
+        }
+    }
+
+    fn work(self: &Arc<Self>, question: Frame, numbers: &[f64]) -> Result<(Frame, Content), Failure> {
         let wrong = |what: &str| Failure::of("the other side", what);
         match question {
             Frame::Call { object, method, text, objects } => {
                 let objects: Vec<Received> = objects.into_iter().map(|one| self.take(one)).collect::<Result<_, _>>()?;
                 let (text, objects) = self.object(object)?.dispatch(method, &text, &objects)?;
                 let objects = objects.into_iter().map(|object| self.give(&object)).collect();
-                Ok((Frame::Answer { text, objects }, Vec::new()))
+                Ok((Frame::Answer { text, objects }, Content::Nothing))
             }
             Frame::Poses { object, lengths, orientation } => {
                 let [statuses, values, wanted] = wire::split(numbers, lengths).map_err(wrong)?;
                 let wanted: Vec<Variable> = wanted.iter().copied().map(wire::variable).collect();
-                let mut out = Poses::default();
+                let mut out = self.spare.take();
                 self.object(object)?.machine(|machine| {
                     let info = machine.info();
                     let poses = check_poses(info, &PoseBatch { statuses, values, wanted: &wanted, orientation })?;
@@ -175,8 +186,7 @@ impl Connection {
                     }
                     Ok(machine.poses(statuses, values, &wanted, orientation, &mut out)?)
                 })?;
-                let lists = wire::poses_lists(&out);
-                Ok((Frame::Numbers { lengths: lists.iter().map(Vec::len).collect() }, lists))
+                Ok(Content::Poses(out).framed())
             }
             Frame::Equations { object, lengths } => {
                 let [rows, positions, orientations, own, inputs] = wire::split(numbers, lengths).map_err(wrong)?;
@@ -190,8 +200,7 @@ impl Connection {
                 let batch = RowBatch { rows: &rows, positions, orientations, own, inputs };
                 check_rows(observations.info(), &batch)?;
                 observations.evaluate(batch, &mut out)?;
-                let lists = wire::equation_lists(&out);
-                Ok((Frame::Numbers { lengths: lists.iter().map(Vec::len).collect() }, lists))
+                Ok(Content::Equations(wire::equation_lists(&out)).framed())
             }
             _ => Err(wrong("asks what cannot be asked here")),
         }
@@ -305,7 +314,9 @@ impl Peer for Remote {
             orientation: !out.orientations.is_empty(),
         };
         let (answer, numbers) = self.connection.ask(&question, &[statuses, values, &wanted])?;
-        wire::read_poses(&answer, &numbers, out).map_err(|what| Failure::of(&self.who, what))
+        let read = wire::read_poses(&answer, &numbers, out).map_err(|what| Failure::of(&self.who, what));
+        locked(&self.connection.wire).give_back(numbers);
+        read
     }
 
     fn equations(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<(), Failure> {
@@ -363,6 +374,7 @@ fn start(
         holder: Mutex::new(None),
         objects: Mutex::default(),
         released: Mutex::default(),
+        spare: Spare::default(),
         child: Some(child),
         words,
         who: who.to_owned(),

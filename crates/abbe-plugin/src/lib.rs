@@ -32,6 +32,7 @@ mod sandbox;
 #[cfg(feature = "sdk")]
 pub mod sdk;
 mod served;
+mod spare;
 mod texts;
 #[cfg(feature = "host")]
 mod threads;

@@ -54,11 +54,11 @@ fn ask_whole<Q: Serialize + ?Sized>(
 
 /// Refuses values that are not finite.
 fn finite<'a>(peer: &dyn Peer, what: &str, values: impl IntoIterator<Item = &'a f64>) -> Result<()> {
-    // Zero times anything finite is zero: one sum instead of a branch for each number.
-    let sum: f64 = values.into_iter().map(|value| value * 0.0).sum();
-    match sum == 0.0 {
-        true => Ok(()),
-        false => Err(broken(peer.who(), format!("gave {what} that are not finite numbers"))),
+    // No branch for each number.
+    let is_broken = values.into_iter().fold(false, |broken, value| broken | !value.is_finite());
+    match is_broken {
+        false => Ok(()),
+        true => Err(broken(peer.who(), format!("gave {what} that are not finite numbers"))),
     }
 }
 

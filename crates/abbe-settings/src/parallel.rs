@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 thread_local! {
     static ONE_OF_SEVERAL: Cell<bool> = const { Cell::new(false) };
@@ -19,9 +19,10 @@ pub fn free_threads() -> usize {
     if is_one_of_several() { 1 } else { cores() }
 }
 
-/// Number of cores that this process may use.
+/// Number of cores that this process may use, as the system says when it is asked first: an answer takes as long as a small fit.
 fn cores() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
+    static CORES: OnceLock<usize> = OnceLock::new();
+    *CORES.get_or_init(|| std::thread::available_parallelism().map_or(1, usize::from))
 }
 
 /// Applies `work` to all items on `threads` threads (as many as there are cores if none are given); the results are in the

@@ -8,12 +8,13 @@ use std::sync::{Arc, Mutex};
 use abbe_core::{Context, Error, Kind, Result};
 
 use super::time::Time;
-use super::wire::{Frame, Wire};
+use super::wire::{Content, Frame, Wire};
 use super::{Connection, Listed, locked};
 use crate::loader::{About, Library, hashed, load_sealed};
 use crate::peer::Failure;
 use crate::sandbox::{Allowance, confine};
 use crate::served::{Served, create};
+use crate::spare::Spare;
 
 /// The other process: gives up what a plugin does not need ([`Allowance`]), loads the library and serves it on standard input until the
 /// program that started it is gone.
@@ -25,6 +26,7 @@ pub fn serve(path: &Path, sha256: &str, allowance: &Allowance) -> Result<()> {
         holder: Mutex::new(None),
         objects: Mutex::default(),
         released: Mutex::default(),
+        spare: Spare::default(),
         child: None,
         words: None,
         who: "the program".to_owned(),
@@ -44,23 +46,24 @@ pub fn serve(path: &Path, sha256: &str, allowance: &Allowance) -> Result<()> {
             }
             (_, Err(error)) => Err(Failure::from(error.clone())),
             (Frame::List, Ok(library)) => {
-                Ok((Frame::Answer { text: listed(library), objects: Vec::new() }, Vec::new()))
+                Ok((Frame::Answer { text: listed(library), objects: Vec::new() }, Content::Nothing))
             }
             (Frame::Create { kind, name, settings, base }, Ok(library)) => {
                 created(library, kind, &name, &settings, base).map(|stage| {
                     let objects = vec![connection.give(&Arc::new(stage))];
-                    (Frame::Answer { text: String::new(), objects }, Vec::new())
+                    (Frame::Answer { text: String::new(), objects }, Content::Nothing)
                 })
             }
             (question, Ok(_)) => connection.work(question, &numbers),
         };
-        let (frame, numbers) = answer.unwrap_or_else(|failure| (Frame::Failed(failure), Vec::new()));
-        let lists: Vec<&[f64]> = numbers.iter().map(Vec::as_slice).collect();
+        let (frame, content) = answer.unwrap_or_else(|failure| (Frame::Failed(failure), Content::Nothing));
         let mut wire = locked(&connection.wire);
         for object in std::mem::take(&mut *locked(&connection.released)) {
             wire.write(&Frame::Release { object }, &[], None).map_err(gone)?;
         }
-        wire.write(&frame, &lists, None).map_err(gone)?;
+        wire.write(&frame, &content.lists(), None).map_err(gone)?;
+        wire.give_back(numbers);
+        connection.keep(content);
     }
 }
 

@@ -12,6 +12,7 @@ use super::{Connection, Listed};
 use crate::abi::{ABBE_CONTACT_TIP, ABBE_DESCRIBE, ABBE_MOTION_ERROR};
 use crate::peer::Failure;
 use crate::served::Served;
+use crate::spare::Spare;
 use crate::trials::nowhere;
 
 /// Bytes of the two lengths of a message.
@@ -32,7 +33,10 @@ fn mended(bytes: &[u8]) -> Option<Vec<u8>> {
 
 /// What is read of a message, with other lengths if those that it states are wrong.
 fn read(bytes: &[u8]) -> Result<(Frame, Vec<f64>), String> {
-    let read = |bytes: &[u8]| decode(bytes, &mut Vec::new()).map_err(|error| error.to_string());
+    let read = |bytes: &[u8]| {
+        let mut numbers = Vec::new();
+        decode(bytes, &mut Vec::new(), &mut numbers).map(|frame| (frame, numbers)).map_err(|error| error.to_string())
+    };
     read(bytes).or_else(|error| mended(bytes).map_or(Err(error), |mended| read(&mended)))
 }
 
@@ -50,6 +54,7 @@ pub fn question(
         holder: Mutex::new(None),
         objects: Mutex::default(),
         released: Mutex::default(),
+        spare: Spare::default(),
         child: None,
         words: None,
         who: "the plugin".to_owned(),
@@ -60,9 +65,8 @@ pub fn question(
         let _ = connection.give(&Arc::new(served));
     }
     let told = |failure: Failure| failure.error("the plugin").message;
-    let (answer, numbers) = connection.work(question, &numbers).map_err(told)?;
-    let lists: Vec<&[f64]> = numbers.iter().map(Vec::as_slice).collect();
-    encode(&answer, &lists, &mut Vec::new()).map_err(|error| error.to_string())
+    let (answer, content) = connection.work(question, &numbers).map_err(told)?;
+    encode(&answer, &content.lists(), &mut Vec::new()).map_err(|error| error.to_string())
 }
 
 /// A question of each sort about a machine (object 0) and observations (object 1).

@@ -5,6 +5,7 @@ use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
 use abbe_core::{Equations, Poses, Variable};
+use bytemuck::{cast_slice, cast_slice_mut};
 use serde::{Deserialize, Serialize};
 
 use crate::peer::Failure;
@@ -36,26 +37,71 @@ const LONGEST: u64 = 1 << 28;
 /// Bytes for which there is room before they come.
 const AT_ONCE: u64 = 1 << 20;
 
+/// Fewer numbers are written together with what comes before them.
+const TOGETHER: usize = 4096;
+
 /// One end of the socket.
 pub(super) struct Wire {
     socket: UnixStream,
     buffer: Vec<u8>,
+    /// Room for the numbers of the next message.
+    spare: Vec<f64>,
+}
+
+/// The numbers of an answer.
+pub(super) enum Content {
+    Nothing,
+    Poses(Poses),
+    Equations([Vec<f64>; 5]),
+}
+
+impl Content {
+    /// Its lists, in the order of a message.
+    pub fn lists(&self) -> Vec<&[f64]> {
+        match self {
+            Self::Nothing => Vec::new(),
+            Self::Poses(poses) => vec![
+                poses.positions.as_flattened(),
+                poses.orientations.as_flattened(),
+                poses.position_derivatives.as_flattened(),
+                poses.rotation_derivatives.as_flattened(),
+            ],
+            Self::Equations(lists) => lists.iter().map(Vec::as_slice).collect(),
+        }
+    }
+
+    /// With the frame that says how long its lists are.
+    pub fn framed(self) -> (Frame, Self) {
+        (Frame::Numbers { lengths: self.lists().iter().map(|list| list.len()).collect() }, self)
+    }
 }
 
 impl Wire {
     pub fn new(socket: UnixStream) -> Self {
-        Self { socket, buffer: Vec::new() }
+        Self { socket, buffer: Vec::new(), spare: Vec::new() }
     }
 
     /// Writes a frame, until this moment at the latest.
     pub fn write(&mut self, frame: &Frame, numbers: &[&[f64]], until: Option<Instant>) -> io::Result<()> {
-        encode(frame, numbers, &mut self.buffer)?;
-        Timed { socket: &self.socket, until }.write_all(&self.buffer)
+        let mut socket = Timed { socket: &self.socket, until };
+        if numbers.iter().map(|list| list.len()).sum::<usize>() < TOGETHER {
+            encode(frame, numbers, &mut self.buffer)?;
+            return socket.write_all(&self.buffer);
+        }
+        encode_head(frame, numbers, &mut self.buffer)?;
+        socket.write_all(&self.buffer)?;
+        numbers.iter().try_for_each(|list| socket.write_all(cast_slice(list)))
     }
 
     /// Reads a frame, until this moment at the latest, however slowly it comes.
     pub fn read(&mut self, until: Option<Instant>) -> io::Result<(Frame, Vec<f64>)> {
-        decode(Timed { socket: &self.socket, until }, &mut self.buffer)
+        let mut numbers = std::mem::take(&mut self.spare);
+        decode(Timed { socket: &self.socket, until }, &mut self.buffer, &mut numbers).map(|frame| (frame, numbers))
+    }
+
+    /// Takes back the numbers of a message, whose room the next one uses.
+    pub fn give_back(&mut self, numbers: Vec<f64>) {
+        self.spare = numbers;
     }
 }
 
@@ -98,8 +144,15 @@ impl Write for Timed<'_> {
     }
 }
 
-/// The bytes of a frame.
+/// The bytes of a frame. Both ends are on one machine: numbers are as they are in memory.
 pub(super) fn encode(frame: &Frame, numbers: &[&[f64]], into: &mut Vec<u8>) -> io::Result<()> {
+    encode_head(frame, numbers, into)?;
+    numbers.iter().for_each(|list| into.extend_from_slice(cast_slice(list)));
+    Ok(())
+}
+
+/// What comes before the numbers.
+fn encode_head(frame: &Frame, numbers: &[&[f64]], into: &mut Vec<u8>) -> io::Result<()> {
     into.clear();
     into.extend_from_slice(&[0; 16]);
     serde_json::to_writer(&mut *into, frame)?;
@@ -107,14 +160,12 @@ pub(super) fn encode(frame: &Frame, numbers: &[&[f64]], into: &mut Vec<u8>) -> i
     let count = numbers.iter().map(|list| list.len() as u64).sum::<u64>();
     into[..8].copy_from_slice(&text.to_le_bytes());
     into[8..16].copy_from_slice(&count.to_le_bytes());
-    for number in numbers.iter().copied().flatten() {
-        into.extend_from_slice(&number.to_le_bytes());
-    }
     Ok(())
 }
 
-/// Reads a frame from its bytes. What a frame says of its length takes no memory before the bytes are there.
-pub(super) fn decode(mut from: impl Read, buffer: &mut Vec<u8>) -> io::Result<(Frame, Vec<f64>)> {
+/// Reads a frame from its bytes, with its numbers, which replace those that are there. What a frame says of its length takes no memory
+/// before the bytes are there.
+pub(super) fn decode(mut from: impl Read, buffer: &mut Vec<u8>, numbers: &mut Vec<f64>) -> io::Result<Frame> {
     let mut lengths = [0; 16];
     from.read_exact(&mut lengths)?;
     let length = |at: usize| lengths[at..at + 8].iter().rev().fold(0_u64, |all, byte| all << 8 | u64::from(*byte));
@@ -122,16 +173,22 @@ pub(super) fn decode(mut from: impl Read, buffer: &mut Vec<u8>) -> io::Result<(F
     if text > LONGEST || count > LONGEST {
         return Err(io::Error::new(io::ErrorKind::InvalidData, "a frame says that it is longer than any is"));
     }
-    let all = text + 8 * count;
     buffer.clear();
-    buffer.reserve(all.min(AT_ONCE) as usize);
-    if from.take(all).read_to_end(buffer)? as u64 != all {
+    buffer.reserve(text.min(AT_ONCE) as usize);
+    if from.by_ref().take(text).read_to_end(buffer)? as u64 != text {
         return Err(io::Error::from(io::ErrorKind::UnexpectedEof));
     }
-    let (text, numbers) = buffer.split_at(text as usize);
-    let frame = serde_json::from_slice(text)?;
-    let (numbers, _) = numbers.as_chunks::<8>();
-    Ok((frame, numbers.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect()))
+    let frame = serde_json::from_slice(buffer)?;
+    let (count, step) = (count as usize, AT_ONCE as usize / size_of::<f64>());
+    for first in (0..count).step_by(step) {
+        let end = count.min(first + step);
+        if numbers.len() < end {
+            numbers.resize(end, 0.0);
+        }
+        from.read_exact(cast_slice_mut(&mut numbers[first..end]))?;
+    }
+    numbers.truncate(count);
+    Ok(frame)
 }
 
 /// Cuts numbers into lists.
@@ -176,15 +233,6 @@ pub(super) fn quaternions(numbers: &[f64]) -> (&[[f64; 4]], &[f64]) {
     numbers.as_chunks()
 }
 
-pub(super) fn poses_lists(poses: &Poses) -> Vec<Vec<f64>> {
-    vec![
-        poses.positions.as_flattened().to_vec(),
-        poses.orientations.as_flattened().to_vec(),
-        poses.position_derivatives.as_flattened().to_vec(),
-        poses.rotation_derivatives.as_flattened().to_vec(),
-    ]
-}
-
 /// Reads an answer into poses of the requested size.
 pub(super) fn read_poses(answer: &Frame, numbers: &[f64], out: &mut Poses) -> Result<(), &'static str> {
     let lists: [&mut [f64]; 4] = [
@@ -207,11 +255,11 @@ pub(super) fn read_poses(answer: &Frame, numbers: &[f64], out: &mut Poses) -> Re
     Ok(())
 }
 
-pub(super) fn equation_lists(equations: &Equations) -> Vec<Vec<f64>> {
+pub(super) fn equation_lists(equations: &Equations) -> [Vec<f64>; 5] {
     let triples = |list: &[(usize, usize, f64)]| -> Vec<f64> {
         list.iter().flat_map(|by| [by.0 as f64, by.1 as f64, by.2]).collect()
     };
-    vec![
+    [
         equations.residuals().to_vec(),
         equations.by_position().as_flattened().to_vec(),
         equations.by_rotation().as_flattened().to_vec(),

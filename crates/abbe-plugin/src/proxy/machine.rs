@@ -5,19 +5,21 @@ use std::sync::Arc;
 
 use abbe_core::{
     Axis, ErrorFunction, KinematicModel, ModelInfo, MotionError, Parameter, ParameterRole, PeriodicError, PoseBatch,
-    Poses, PosesMut, Result, StatusColumn, StatusRole,
+    PosesMut, Result, StatusColumn, StatusRole,
 };
 
 use super::{ask, finite};
 use crate::abi::*;
 use crate::peer::{Failure, Peer, Received, broken};
 use crate::served::Served;
+use crate::spare::Spare;
 use crate::texts::MotionText;
 
 /// A machine of the other side.
 pub(super) struct Machine {
     pub peer: Arc<dyn Peer>,
     info: ModelInfo,
+    spare: Spare,
 }
 
 /// The machine that was received.
@@ -35,7 +37,7 @@ pub(crate) fn machine(object: &Received) -> Result<Arc<dyn KinematicModel>, Fail
                 }
             }
             check_machine(&info).map_err(|what| Failure::of(peer.who(), what))?;
-            Ok(Arc::new(Machine { peer: peer.clone(), info }))
+            Ok(Arc::new(Machine { peer: peer.clone(), info, spare: Spare::default() }))
         }
     }
 }
@@ -129,7 +131,7 @@ impl KinematicModel for Machine {
     fn evaluate(&self, batch: PoseBatch<'_>, out: PosesMut<'_>) -> Result<()> {
         let PoseBatch { statuses, values, wanted, orientation } = batch;
         // Into lists of our own: they have room behind their ends, where wrong writes are detected and do no harm.
-        let mut poses = Poses::default();
+        let mut poses = self.spare.take();
         poses.reset(statuses.len() / self.info.status.len(), wanted.len(), orientation);
         let peer = self.peer.as_ref();
         peer.poses(statuses, values, wanted, &mut poses).map_err(|failure| failure.error(peer.who()))?;
@@ -142,6 +144,7 @@ impl KinematicModel for Machine {
         }
         finite(peer, "derivatives of orientations", poses.rotation_derivatives.as_flattened())?;
         out.copy_from(&poses);
+        self.spare.give_back(poses);
         Ok(())
     }
 
