@@ -1,5 +1,5 @@
-//! Libraries whose manifest says that they have no unit tests (`test = false`) or no examples in their documentation
-//! (`doctest = false`): to build them once more for tests would take minutes and find none. What a manifest says has to stay true.
+//! Libraries whose manifest says that they have no unit tests (`test = false`): to build them once more for tests would take time and
+//! find none. What a manifest says has to stay true.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,17 +18,13 @@ pub fn check(packages: &[Value]) -> Outcome {
         for target in package["targets"].as_array().into_iter().flatten() {
             let is_library = target["kind"].as_array().is_some_and(|kinds| kinds.iter().any(|kind| kind == "lib"));
             let Some(folder) = target["src_path"].as_str().map(Path::new).and_then(Path::parent) else { continue };
-            let (no_tests, no_examples) = (target["test"] == false, target["doctest"] == false);
-            if !is_library || !(no_tests || no_examples) {
+            if !is_library || target["test"] != false {
                 continue;
             }
             for file in sources(folder)? {
                 let text = fs::read_to_string(&file).map_err(|error| format!("{}: {error}", file.display()))?;
-                if no_tests && has_unit_tests(&text) {
+                if has_unit_tests(&text) {
                     wrong.push(format!("{} has unit tests, and its Cargo.toml says `test = false`", file.display()));
-                }
-                if no_examples && has_examples(&text) {
-                    wrong.push(format!("{} has an example, and its Cargo.toml says `doctest = false`", file.display()));
                 }
             }
         }
@@ -38,19 +34,6 @@ pub fn check(packages: &[Value]) -> Outcome {
 
 fn has_unit_tests(text: &str) -> bool {
     UNIT_TESTS.iter().any(|mark| text.contains(mark))
-}
-
-/// Whether documentation has a block of code that is Rust: fences without the name of another language.
-fn has_examples(text: &str) -> bool {
-    let comments = text.lines().filter_map(|line| {
-        let line = line.trim_start();
-        line.strip_prefix("///").or_else(|| line.strip_prefix("//!"))
-    });
-    let fences: Vec<&str> = comments.filter_map(|line| line.trim().strip_prefix("```")).collect();
-    fences.chunks(2).any(|fence| {
-        let language = fence[0].split(',').next().unwrap_or_default();
-        ["", "rust", "no_run", "should_panic", "compile_fail"].contains(&language)
-    })
 }
 
 /// The Rust files of a folder and of those below it.
@@ -72,11 +55,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tests_and_examples_are_seen() {
+    fn unit_tests_are_seen() {
         assert!(has_unit_tests("#[cfg(test)]\nmod tests;\n"));
         assert!(!has_unit_tests("//! tests are elsewhere\n"));
-        assert!(has_examples("/// ```\n/// f();\n/// ```\nfn f() {}\n"));
-        assert!(has_examples("//! ```text\n//! a\n//! ```\n//!\n//! ```no_run\n//! f();\n//! ```\n"));
-        assert!(!has_examples("/// ```text\n/// a\n/// ```\nfn f() {}\n"));
     }
 }
