@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::{Outcome, borders, cargo, header, linuxcnc, root, run as run_command};
+use crate::{Outcome, borders, cargo, header, linuxcnc, packages, root, run as run_command, untested};
 
 /// Tests that need another program stand in a module of this name.
 const OUTSIDE: &str = "outside::";
@@ -50,7 +50,9 @@ fn minutes(time: Duration) -> String {
 
 fn rust_alone(tests: &mut Tests) -> Outcome {
     run_command(cargo(&["fmt", "--all", "--check"]))?;
-    borders::check()?;
+    let packages = packages()?;
+    borders::check(&packages)?;
+    untested::check(&packages)?;
     header::check()?;
     let clippy = ["clippy", "--workspace", "--all-targets", "--locked"];
     run_command(cargo(&[&clippy[..], &FEATURES, &["--", "-D", "warnings"]].concat()))?;

@@ -23,6 +23,7 @@ mod borders;
 mod gate;
 mod header;
 mod linuxcnc;
+mod untested;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -103,6 +104,15 @@ fn cargo(arguments: &[&str]) -> Command {
     let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     command.args(arguments).current_dir(root());
     command
+}
+
+/// The crates of the workspace, as cargo describes them.
+fn packages() -> Outcome<Vec<Value>> {
+    let output = cargo(&["metadata", "--format-version", "1", "--no-deps", "--locked"])
+        .output()
+        .map_err(|error| format!("cargo metadata cannot be run: {error}"))?;
+    let metadata: Value = serde_json::from_slice(&output.stdout).map_err(|error| format!("cargo metadata: {error}"))?;
+    metadata["packages"].as_array().cloned().ok_or_else(|| "cargo metadata names no packages".to_owned())
 }
 
 fn run(mut command: Command) -> Outcome {
