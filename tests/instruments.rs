@@ -95,6 +95,29 @@ fn readings_that_are_cut_off_decide_nothing() {
     told_and_undecided(("standards-positioning", "positioning"), &[(("linear", "reading_um"), &three)], FAULTS[2]);
 }
 
+/// Angles in another unit: what is left of a turn is no circle that was measured.
+#[test]
+fn angles_of_many_turns_decide_nothing() {
+    let word = "turns, and a circle is measured over one";
+    let good = remarks(&Variant::of(&recipes()["standards-circular"]).run(), "circles");
+    assert!(!good.contains(word), "{good}");
+    for factor in [5.0, 25.0, 57.29577951308232] {
+        let folder = temporary();
+        let mut recipe = Variant::of(&recipes()["standards-circular"]);
+        for stage in ["slow", "fast"] {
+            let larger = |_: usize, cell: &str| format!("{}", factor * number(cell));
+            with(&mut recipe, folder.path(), (stage, "angle_deg"), &larger);
+        }
+        let outcome = recipe.run();
+        let said = remarks(&outcome, "circles");
+        assert_eq!(said.matches(word).count(), 2, "{factor}: {said}");
+        assert_ne!(decision(&outcome, "circles"), Decision::Pass, "{factor}: {said}");
+        let kept = outcome.verdicts.iter().filter(|verdict| verdict.stage == "circles").flat_map(|verdict| &verdict.figures);
+        let kept = kept.filter(|figure| figure.limit.is_some() && figure.inconclusive.is_none() && figure.passes());
+        assert_eq!(kept.count(), 0, "{factor}");
+    }
+}
+
 #[test]
 fn a_beam_that_is_lost_decides_nothing() {
     let lost: Change<'_> = &|row, cell| if (4..22).contains(&row) { "0.00".to_owned() } else { cell.to_owned() };
