@@ -112,7 +112,8 @@ fn angles_of_many_turns_decide_nothing() {
         let said = remarks(&outcome, "circles");
         assert_eq!(said.matches(word).count(), 2, "{factor}: {said}");
         assert_ne!(decision(&outcome, "circles"), Decision::Pass, "{factor}: {said}");
-        let kept = outcome.verdicts.iter().filter(|verdict| verdict.stage == "circles").flat_map(|verdict| &verdict.figures);
+        let kept =
+            outcome.verdicts.iter().filter(|verdict| verdict.stage == "circles").flat_map(|verdict| &verdict.figures);
         let kept = kept.filter(|figure| figure.limit.is_some() && figure.inconclusive.is_none() && figure.passes());
         assert_eq!(kept.count(), 0, "{factor}");
     }
