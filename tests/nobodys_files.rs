@@ -1,5 +1,8 @@
 //! Nobody's files are lost: a run replaces what an earlier run wrote, as it wrote it, and nothing else.
 
+#[cfg(unix)]
+mod ways;
+
 use std::fs;
 use std::path::Path;
 
@@ -422,4 +425,23 @@ fn a_file_that_changes_during_a_run_ends_it() {
     small.write("recipe.yaml", &(small.read("recipe.yaml") + "# later\n"));
     let error = prepared.run(&Monitor::default()).err().expect("it is not the recipe that was read");
     assert!(error.to_string().contains("recipe.yaml") && error.message.contains("changed while"), "{error}");
+}
+
+/// A result that the run reads is not changed by anybody: the message says that the run reads it.
+#[test]
+fn a_run_that_reads_its_own_result_says_so() {
+    let small = Small::new();
+    assert_eq!(run(&small, "out").0, 0);
+    let earlier = "  earlier: { estimate: calibration, path: out/recipe/fine.calibration.json }\n  rough:\n";
+    small.write("recipe.yaml", &small.read("recipe.yaml").replace("  rough:\n", earlier));
+    let before = small.read("out/recipe/fine.calibration.json");
+    let (status, stderr) = run(&small, "out");
+    let said = stderr.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ");
+    assert!(status != 0 && said.contains("is in the way: this run reads it"), "{stderr}");
+    assert!(!said.contains("did not write it") && said.contains("copy"), "{stderr}");
+    assert_eq!(small.read("out/recipe/fine.calibration.json"), before);
+    small.write("out/recipe/verdicts.json", "{}");
+    small.write("recipe.yaml", &crate::support::SMALL.to_owned());
+    let (status, stderr) = run(&small, "out");
+    assert!(status != 0 && stderr.contains("did not write it as it is now"), "{stderr}");
 }

@@ -12,6 +12,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+use crate::both_directions::{place_of_angle, smaller_direction};
 use crate::common::{
     Acceptance, Judge, Key, Limits, Sheet, check_limits, directions, doubted, faults, finite, names, run_name,
     too_quiet, undecided,
@@ -199,6 +200,8 @@ impl Circular {
         let traces = [self.trace(data, &samples, true)?, self.trace(data, &samples, false)?];
         let both = traces[0].as_ref().zip(traces[1].as_ref()).and_then(|(one, other)| Bidirectional::of(one, other));
         faults.extend(traces.iter().flatten().find_map(too_many_turns));
+        let places: Vec<usize> = angles.iter().map(|angle| place_of_angle(*angle)).collect();
+        faults.extend(smaller_direction(&[&um], &directions(data)?, &places, "um"));
         findings.remarks.extend(faults.iter().map(|fault| format!("{run}: {fault}")));
         let mut sheet = Sheet::new(&run, &self.limits);
         for (trace, way) in traces.iter().zip([true, false]) {
