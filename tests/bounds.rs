@@ -140,6 +140,58 @@ fn long_cells_are_refused_and_long_names_are_cut() {
     refused(&small, &RUN, 1, &["99...`"]);
 }
 
+/// Rows that are far too wide, for `abbe data` and for a run: refused with their place, in little memory.
+#[cfg(target_os = "linux")]
+#[test]
+fn rows_of_millions_of_cells_are_refused() {
+    const CELLS: usize = 5_000_000;
+    let small = Small::new();
+    let touches = small.read("data/touches.csv");
+    let header = touches.lines().next().expect("a header");
+    let columns = header.split(',').count();
+    let cells = |count: usize| "1,".repeat(count);
+    let expected = |count: usize| format!("the row has {} cells; {columns} were expected", count + 1);
+    let limited = |arguments: &[&str]| {
+        let run = program(small.folder.path(), arguments);
+        let output = std::process::Command::new("sh")
+            .args(["-c", "ulimit -v 1500000; exec \"$0\" \"$@\""])
+            .arg(run.get_program())
+            .args(run.get_args())
+            .env("NO_COLOR", "1")
+            .env("COLUMNS", "10000")
+            .current_dir(small.folder.path())
+            .output()
+            .expect("a shell");
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        (output.status.code(), said.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" "))
+    };
+    for count in [CELLS, 200_000, 20_000] {
+        small.write("data/touches.csv", &format!("{header}\n{}", cells(count)));
+        for arguments in [&["data", "data/touches.csv"][..], &RUN] {
+            let (status, said) = limited(arguments);
+            assert_eq!(status, Some(1), "{arguments:?} {count}: {said}");
+            assert!(said.contains(&expected(count)) && said.contains("touches.csv:2"), "{arguments:?} {count}: {said}");
+        }
+    }
+    // Nothing but one such row, as a header and without one; rows that are hardly filled.
+    for (text, words) in [
+        (cells(CELLS), "the row has 5000001 cells; at most 131072 are read"),
+        ("a,".repeat(CELLS), "the row has 5000001 cells; at most 131072 are read"),
+        ("a;".repeat(CELLS), "the row has 5000001 cells; at most 131072 are read"),
+        (format!("{}\n{}", cells(10_000), "1\n".repeat(300_000)), "the row has 1 cell; 10001 were expected"),
+    ] {
+        small.write("wide.csv", &text);
+        let (status, said) = limited(&["data", "wide.csv"]);
+        assert!(matches!(status, Some(1 | 2)), "{status:?} {said}");
+        assert!(said.contains(words) && said.contains("wide.csv:"), "{words}: {said}");
+    }
+    // Many columns are a table all the same.
+    let names: String = (0..100_000).map(|column| format!("T{column}_degC,")).collect();
+    small.write("wide.csv", &format!("{names}last\n{}20\n{}21\n", cells(100_000), cells(100_000)));
+    let (status, said) = limited(&["data", "wide.csv"]);
+    assert_eq!((status, said.as_str()), (Some(0), ""));
+}
+
 #[test]
 fn all_line_ends_are_read_and_other_separators_are_named() {
     let values = |small: &Small| {
@@ -271,6 +323,39 @@ fn no_text_from_files_reaches_a_terminal_as_it_is() {
         let printed = shown(&small, &["run", RECIPE, "--out", "out", "--json"]);
         let error: serde_json::Value = serde_json::from_str(&printed.stdout).expect("an error as JSON");
         assert!(error["error"]["message"].is_string(), "{error}");
+    }
+}
+
+/// Names of files come among the arguments by `*`; what is said of options that nobody knows has them.
+#[test]
+fn no_argument_reaches_a_terminal_as_it_is() {
+    let small = Small::new();
+    let evil = format!("--no{EVIL}");
+    let value = format!("--time-limit={EVIL}");
+    let cases: [&[&str]; 9] = [
+        &["run", &evil],
+        &["data", &evil],
+        &["run", RECIPE, "--json", &evil],
+        &["run", RECIPE, &value],
+        &["run", RECIPE, "--progress", EVIL],
+        &["history", EVIL],
+        &["history", "list", &evil],
+        &["new", &evil],
+        &[EVIL],
+    ];
+    for arguments in cases {
+        let printed = ended(&small, arguments);
+        assert_eq!(printed.status, 2, "{arguments:?}: {}", printed.stderr);
+        assert!(printed.stdout.is_empty() && printed.stderr.starts_with("error: "), "{arguments:?}: {printed:?}");
+        assert_eq!(harmless(&printed.stderr), printed.stderr, "{arguments:?}");
+        assert!(printed.stderr.contains("␛[2J"), "{arguments:?}: {}", printed.stderr);
+    }
+    let long = format!("--{}", "x".repeat(5_000));
+    assert!(ended(&small, &["run", &long]).stderr.len() < 2_000);
+    // Help is no error.
+    for (arguments, word) in [(&["--help"][..], "Usage:"), (&["run", "--help"], "Usage:"), (&["--version"], "abbe ")] {
+        let printed = ended(&small, arguments);
+        assert!(printed.status == 0 && printed.stdout.contains(word) && printed.stderr.is_empty(), "{arguments:?}");
     }
 }
 

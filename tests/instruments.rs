@@ -9,7 +9,7 @@ use abbe_engine::{Outcome, prepare};
 use serde_json::json;
 
 use crate::misread::changed;
-use crate::support::{Random, Variant, abbe, read, recipes, registry, temporary, write};
+use crate::support::{Random, Variant, abbe, read, recipes, registry, stem, temporary, write};
 
 /// What a change does to the cell of a row.
 type Change<'a> = &'a dyn Fn(usize, &str) -> String;
@@ -56,8 +56,15 @@ fn said(recipe: &Variant, folder: &Path) -> String {
     format!("{}\n{}", printed.stdout, printed.stderr)
 }
 
-const FAULTS: [&str; 5] =
-    ["was it connected?", "transducer read twice?", "at the end of its range?", "did it stick?", "are they copies"];
+const FAULTS: [&str; 7] = [
+    "was it connected?",
+    "transducer read twice?",
+    "at the end of its range?",
+    "did it stick?",
+    "are they copies",
+    "is one direction in another unit?",
+    "with the sign turned",
+];
 
 /// A test of a standard whose readings are changed is told and decides nothing; as it was it says nothing.
 fn told_and_undecided((name, judge): (&str, &str), changes: &[((&str, &str), Change<'_>)], word: &str) {
@@ -93,6 +100,119 @@ fn readings_that_are_cut_off_decide_nothing() {
     let circular = ("standards-circular", "circles");
     told_and_undecided(circular, &[(("slow", "reading_um"), &five), (("fast", "reading_um"), &five)], FAULTS[2]);
     told_and_undecided(("standards-positioning", "positioning"), &[(("linear", "reading_um"), &three)], FAULTS[2]);
+}
+
+/// Angles in another unit: what is left of a turn is no circle that was measured.
+#[test]
+fn angles_of_many_turns_decide_nothing() {
+    let word = "turns, and a circle is measured over one";
+    let good = remarks(&Variant::of(&recipes()["standards-circular"]).run(), "circles");
+    assert!(!good.contains(word), "{good}");
+    for factor in [5.0, 25.0, 57.29577951308232] {
+        let folder = temporary();
+        let mut recipe = Variant::of(&recipes()["standards-circular"]);
+        for stage in ["slow", "fast"] {
+            let larger = |_: usize, cell: &str| format!("{}", factor * number(cell));
+            with(&mut recipe, folder.path(), (stage, "angle_deg"), &larger);
+        }
+        let outcome = recipe.run();
+        let said = remarks(&outcome, "circles");
+        assert_eq!(said.matches(word).count(), 2, "{factor}: {said}");
+        assert_ne!(decision(&outcome, "circles"), Decision::Pass, "{factor}: {said}");
+        let kept =
+            outcome.verdicts.iter().filter(|verdict| verdict.stage == "circles").flat_map(|verdict| &verdict.figures);
+        let kept = kept.filter(|figure| figure.limit.is_some() && figure.inconclusive.is_none() && figure.passes());
+        assert_eq!(kept.count(), 0, "{factor}");
+    }
+}
+
+/// The cells of rows in one direction, times a factor.
+fn times(recipe: &Variant, stage: &str, way: &str, factor: f64) -> impl Fn(usize, &str) -> String {
+    let ways = cells(&recipe.path(stage, "path"), "direction");
+    let way = way.to_owned();
+    move |row, cell| match ways[row] == way {
+        true => format!("{}", factor * number(cell)),
+        false => cell.to_owned(),
+    }
+}
+
+/// What a verdict says of readings of one direction that are changed by a factor; no limit of the changed test is kept.
+fn one_direction(name: &str, judge: &str, stage: &str, columns: &[&str], (way, factor): (&str, f64)) -> String {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()[name]).only(&[judge]);
+    let change = times(&recipe, stage, way, factor);
+    let file = stem(&recipe.path(stage, "path"));
+    for column in columns {
+        with(&mut recipe, folder.path(), (stage, column), &change);
+    }
+    let outcome = recipe.run();
+    let kept = outcome.verdicts.iter().flat_map(|verdict| &verdict.figures).filter(|figure| {
+        figure.name.contains(&file) && figure.limit.is_some() && figure.inconclusive.is_none() && figure.passes()
+    });
+    let kept: Vec<&String> = kept.map(|figure| &figure.name).collect();
+    let said = remarks(&outcome, judge);
+    if said.contains(FAULTS[5]) || said.contains(FAULTS[6]) {
+        assert_eq!(kept, [""; 0], "{name} {stage} {way} {factor}");
+    }
+    said
+}
+
+#[test]
+fn one_direction_in_another_unit_decides_nothing() {
+    let um: &[&str] = &["reading_um"];
+    let cases: [(&str, &str, &str, &[&str]); 9] = [
+        ("standards-positioning", "positioning", "linear", um),
+        ("standards-positioning", "positioning", "rotary", &["reading_urad"]),
+        ("standards-positioning", "positioning-long", "long", um),
+        ("standards-diagonals", "diagonals", "ppp", um),
+        ("standards-diagonals", "diagonals", "zx-np", um),
+        ("standards-circular", "arc-of-a-circle", "arc", um),
+        ("standards-circular", "circles", "slow", um),
+        ("standards-circular", "circles", "fast", um),
+        (ROTARY.0, ROTARY.1, "read-c", &["meas_x_um", "meas_y_um", "meas_z_um"]),
+    ];
+    for (name, judge, stage, columns) in cases {
+        for way in ["-1", "1"] {
+            for (factor, word) in [(1e-3, true), (1e3, true), (1.0, false), (0.5, false), (2.0, false)] {
+                // Deviations of circles that are a thousand times as large are none.
+                if factor > 100.0 && name == "standards-circular" {
+                    continue;
+                }
+                let said = one_direction(name, judge, stage, columns, (way, factor));
+                assert_eq!(said.contains(FAULTS[5]), word, "{name} {stage} {way} {factor}: {said}");
+            }
+        }
+    }
+    // In inches for millimetres, or the other way round.
+    for (name, judge, stage) in [
+        ("standards-positioning", "positioning", "linear"),
+        ("standards-diagonals", "diagonals", "ppp"),
+        ("standards-circular", "arc-of-a-circle", "arc"),
+        ("standards-circular", "circles", "fast"),
+    ] {
+        let said = one_direction(name, judge, stage, um, ("-1", 1.0 / 25.4));
+        assert!(said.contains(FAULTS[5]), "{name} {stage}: {said}");
+    }
+}
+
+#[test]
+fn one_direction_with_turned_signs_decides_nothing() {
+    for (name, judge, stage, column) in [
+        ("standards-positioning", "positioning", "linear", "reading_um"),
+        ("standards-positioning", "positioning", "rotary", "reading_urad"),
+        ("standards-diagonals", "diagonals", "ppp", "reading_um"),
+        ("standards-diagonals", "diagonals", "npp", "reading_um"),
+        ("standards-diagonals", "diagonals", "pnp", "reading_um"),
+        ("standards-diagonals", "diagonals", "nnp", "reading_um"),
+    ] {
+        for way in ["-1", "1"] {
+            let said = one_direction(name, judge, stage, &[column], (way, -1.0));
+            assert!(said.contains(FAULTS[6]), "{name} {stage} {way}: {said}");
+        }
+    }
+    // All signs turned are those of another machine.
+    let recipe = Variant::of(&recipes()["standards-positioning"]);
+    assert!(!remarks(&recipe.run(), "positioning").contains(FAULTS[6]));
 }
 
 #[test]

@@ -1,9 +1,12 @@
 //! Nobody's files are lost: a run replaces what an earlier run wrote, as it wrote it, and nothing else.
 
+#[cfg(unix)]
+mod ways;
+
 use std::fs;
 use std::path::Path;
 
-use abbe_core::Monitor;
+use abbe_core::{Event, Monitor};
 use abbe_engine::prepare;
 
 use crate::support::{Small, abbe, recipes, registry, temporary, tree};
@@ -383,4 +386,62 @@ fn results_under_long_names_are_replaced_and_kept() {
         assert_eq!(beside(&small), kept);
         assert!(small.path("out").join(&kept[0]).join("fine.calibration.json").is_file());
     }
+}
+
+/// Results say which content they are of: a file that somebody changes while a run goes on ends it, and the results of an earlier run stay.
+#[test]
+fn a_file_that_changes_during_a_run_ends_it() {
+    for (file, stage) in
+        [("data/touches.csv", "ingest"), ("data/facets.csv", "estimate"), ("data/machine.yaml", "estimate")]
+    {
+        let small = Small::new();
+        let prepared = prepare(&small.path("recipe.yaml"), &registry()).expect("a recipe");
+        let path = small.path(file);
+        let changed = path.clone();
+        let monitor = Monitor::new(move |event| {
+            if matches!(event, Event::Started { kind, .. } if *kind == stage) {
+                let text = fs::read_to_string(&changed).expect("a text");
+                fs::write(&changed, text + "# later\n").expect("a change");
+            }
+        });
+        let error = prepared.run(&monitor).err().unwrap_or_else(|| panic!("{file} was changed and nobody said so"));
+        assert!(error.message.contains("changed while the run went on"), "{file}: {error}");
+        assert!(
+            error.to_string().contains(path.file_name().and_then(|name| name.to_str()).expect("a name")),
+            "{error}"
+        );
+        // The same content at another time is no change.
+        let prepared = prepare(&small.path("recipe.yaml"), &registry()).expect("a recipe");
+        let monitor = Monitor::new(move |event| {
+            if matches!(event, Event::Started { .. }) {
+                fs::write(&path, fs::read(&path).expect("a content")).expect("the same content");
+            }
+        });
+        assert!(prepared.run(&monitor).is_ok(), "{file}");
+    }
+    // A recipe that is another one when its run begins.
+    let small = Small::new();
+    let prepared = prepare(&small.path("recipe.yaml"), &registry()).expect("a recipe");
+    small.write("recipe.yaml", &(small.read("recipe.yaml") + "# later\n"));
+    let error = prepared.run(&Monitor::default()).err().expect("it is not the recipe that was read");
+    assert!(error.to_string().contains("recipe.yaml") && error.message.contains("changed while"), "{error}");
+}
+
+/// A result that the run reads is not changed by anybody: the message says that the run reads it.
+#[test]
+fn a_run_that_reads_its_own_result_says_so() {
+    let small = Small::new();
+    assert_eq!(run(&small, "out").0, 0);
+    let earlier = "  earlier: { estimate: calibration, path: out/recipe/fine.calibration.json }\n  rough:\n";
+    small.write("recipe.yaml", &small.read("recipe.yaml").replace("  rough:\n", earlier));
+    let before = small.read("out/recipe/fine.calibration.json");
+    let (status, stderr) = run(&small, "out");
+    let said = stderr.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ");
+    assert!(status != 0 && said.contains("is in the way: this run reads it"), "{stderr}");
+    assert!(!said.contains("did not write it") && said.contains("copy"), "{stderr}");
+    assert_eq!(small.read("out/recipe/fine.calibration.json"), before);
+    small.write("out/recipe/verdicts.json", "{}");
+    small.write("recipe.yaml", &crate::support::SMALL.to_owned());
+    let (status, stderr) = run(&small, "out");
+    assert!(status != 0 && stderr.contains("did not write it as it is now"), "{stderr}");
 }

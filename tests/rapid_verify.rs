@@ -690,6 +690,21 @@ fn programs_that_would_harm_are_not_written() {
         let told = failure(recipe("three-axis", "realistic").set("fanuc", setting, json!("M30")));
         assert!(told.contains("`M30` would end or leave the program"), "{told}");
     }
+    // A move that looks at no signal drives the probe into the artefact; an offset that is none would not be zero.
+    let with =
+        |setting: &str, word: &str| failure(recipe("three-axis", "realistic").set("fanuc", setting, json!(word)));
+    for word in ["G1", "G0", "G01", "G310", "G31X", "G31.", "G31 X1", "G31P1", "M19"] {
+        assert!(with("skip", word).contains("does not stop at the skip signal"), "{word}: {}", with("skip", word));
+    }
+    for word in ["G31", "G31.1", "G31 P1"] {
+        assert_eq!(with("skip", word), "", "{word}");
+    }
+    for word in ["G1", "G53", "G60", "G54.1", "G54.1 X1", "G28"] {
+        assert!(with("work_offset", word).contains("is no work offset"), "{word}: {}", with("work_offset", word));
+    }
+    for word in ["G54", "G59", "G54.1 P48", "G154 P20", "G110"] {
+        assert_eq!(with("work_offset", word), "", "{word}");
+    }
     let folder = temporary();
     let points = root().join("pipelines/data/rapid-verify/realistic/three-axis/points.csv");
     let turned = folder.path().join("points.csv");

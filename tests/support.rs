@@ -21,6 +21,7 @@ pub fn root() -> PathBuf {
 }
 
 /// What a command printed, and its exit status.
+#[derive(Debug)]
 pub struct Printed {
     pub status: i32,
     pub stdout: String,

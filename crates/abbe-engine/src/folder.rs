@@ -13,7 +13,7 @@ use crate::staging::{Staging, can_write, exclusive_access, unwritable};
 /// Fails early if a new folder cannot be written at `out`. `out` has to be empty or not to exist.
 pub fn can_write_folder(out: &Path) -> Result<()> {
     is_free(out)?;
-    can_write(parent(out), out)
+    can_write(parent(&real(out)), out)
 }
 
 /// Fails if something is at `out`.
@@ -53,12 +53,7 @@ pub fn write_folder(out: &Path, files: &BTreeMap<PathBuf, Vec<u8>>) -> Result<()
     }
     // Two commands that write the same folder do so one after the other.
     let _access = exclusive_access(parent(&place));
-    let taken = is_free(out).and_then(|()| {
-        if place.exists() {
-            fs::remove_dir(&place).map_err(failed)?;
-        }
-        fs::rename(staging.path(), &place).map_err(failed)
-    });
+    let taken = is_free(out).and_then(|()| take(staging.path(), &place).map_err(failed));
     match taken {
         Ok(()) => {
             // The folder has been renamed: there is nothing to clean up.
@@ -67,4 +62,13 @@ pub fn write_folder(out: &Path, files: &BTreeMap<PathBuf, Vec<u8>>) -> Result<()
         }
         Err(error) => Err(kept_beside(staging, &place, error)),
     }
+}
+
+/// Moves a folder to where an empty one is, or nothing. Where that fails the empty one stays.
+fn take(new: &Path, place: &Path) -> io::Result<()> {
+    fs::rename(new, place).or_else(|error| match fs::remove_dir(place) {
+        // Not every system replaces an empty folder.
+        Ok(()) => fs::rename(new, place).inspect_err(|_| drop(fs::create_dir(place))),
+        Err(_) => Err(error),
+    })
 }

@@ -94,7 +94,7 @@ impl Outcome {
         staging.write(Path::new(RECORD), json(&record)?.as_bytes()).map_err(unwritable)?;
         // Another run may have written the folder in the meantime.
         let _access = exclusive_access(parent(&place));
-        put(staging, &target, &self.input_files)?;
+        put(staging, &place, &self.input_files)?;
         Ok(target)
     }
 

@@ -5,6 +5,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use abbe_core::{Error, FileFormat, Kind, Origin, Plugin, Result};
 use abbe_files::{LARGEST_RESULT, read_text};
@@ -177,6 +178,35 @@ pub(crate) fn input_records(files: &[PathBuf]) -> Result<Vec<FileRecord>> {
         }
     }
     Ok(records)
+}
+
+/// Size and time of the last change of a file; none if it is not there.
+pub(crate) type Stamp = Option<(u64, SystemTime)>;
+
+pub(crate) fn stamp(file: &Path) -> Stamp {
+    let found = file.metadata().ok()?;
+    Some((found.len(), found.modified().ok()?))
+}
+
+/// Fails if a file has another content now than when its record was made: nobody could tell which one the results are of. `files` are the
+/// places of those of `records`, with their stamps of that time.
+pub(crate) fn unchanged(files: &[(PathBuf, Stamp)], records: &[FileRecord]) -> Result<()> {
+    let is_another = |(file, before): &&(PathBuf, Stamp)| {
+        let now = stamp(file);
+        let has_content = || sha256_of(file).is_ok_and(|hash| records.iter().any(|record| record.sha256 == hash));
+        now.is_some() && now != *before && !has_content()
+    };
+    match files.iter().find(is_another) {
+        Some((file, _)) => Err(changed(file)),
+        None => Ok(()),
+    }
+}
+
+/// The error for a file that was changed between two looks at it.
+pub(crate) fn changed(file: &Path) -> Error {
+    Error::data("this file was changed while the run went on: nobody could tell which content its results are of")
+        .in_file(file)
+        .help("run again, with files that stay as they are meanwhile")
 }
 
 /// Sentences on files of data that have the same content: the rows of one that was copied count twice.

@@ -23,8 +23,10 @@ pub(crate) struct ResultFolder {
     place: PathBuf,
     /// What an earlier run wrote.
     ours: BTreeSet<PathBuf>,
-    /// What somebody else has put there, or has changed.
+    /// What somebody else has put there, or has changed, and what the run reads.
     others: BTreeSet<PathBuf>,
+    /// Those of them that the run reads.
+    read: BTreeSet<PathBuf>,
 }
 
 impl ResultFolder {
@@ -32,10 +34,17 @@ impl ResultFolder {
     ///
     /// Fails if something else than a folder is there, or a folder that holds something, but no results of a run.
     pub fn new(place: &Path, inputs: &[PathBuf]) -> Result<Self> {
-        let none = |place: PathBuf| Self { place, ours: BTreeSet::new(), others: BTreeSet::new() };
-        let Ok(found) = place.symlink_metadata() else { return Ok(none(place.to_owned())) };
-        let real = if found.is_symlink() { fs::canonicalize(place).ok() } else { Some(place.to_owned()) };
-        let Some(real) = real.filter(|real| real.is_dir()) else { return Err(no_results(place)) };
+        let none = |place: PathBuf| {
+            let [ours, others, read] = [const { BTreeSet::new() }; 3];
+            Self { place, ours, others, read }
+        };
+        let real = real(place);
+        if real.symlink_metadata().is_err() {
+            return Ok(none(real));
+        }
+        if !real.is_dir() {
+            return Err(no_results(place));
+        }
         let mut all = BTreeSet::new();
         list(&real, Path::new(""), &mut all).map_err(|error| unwritable(place, &error))?;
         if all.is_empty() {
@@ -53,6 +62,9 @@ impl ResultFolder {
             let unchanged = || listed.is_some_and(|output| has_content(&path, &output.sha256));
             let is_record = name == Path::new(RECORD) && !path.is_symlink();
             let is_ours = !is_input && (is_record || unchanged());
+            if is_input {
+                folder.read.insert(name.clone());
+            }
             if is_ours { &mut folder.ours } else { &mut folder.others }.insert(name);
         }
         Ok(folder)
@@ -66,8 +78,16 @@ impl ResultFolder {
 
     fn in_the_way(&self, other: &Path) -> Error {
         let path = self.place.join(other);
-        let message = format!("{} is in the way: an earlier run did not write it as it is now", path.display());
-        Error::data(message).help("move it away, or name another folder with `--out`")
+        let (why, help) = match self.read.contains(other) {
+            true => (
+                "this run reads it",
+                "copy it to another folder and name the copy in the recipe, or name another folder with `--out`",
+            ),
+            false => {
+                ("an earlier run did not write it as it is now", "move it away, or name another folder with `--out`")
+            }
+        };
+        Error::data(format!("{} is in the way: {why}", path.display())).help(help)
     }
 
     /// The folder in which a new folder of results can be made, so that the two can change places.
@@ -190,10 +210,13 @@ pub(crate) fn parent(place: &Path) -> &Path {
     place.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// The folder that is written where `named` stands: that to which a link leads, with or without a slash or `/.` at its end.
+/// The folder that is written where `named` stands, with or without a slash or `/.` at its end: with all links followed, so that it
+/// does not lead through what is removed or renamed on the way. What leads there straight stays as it is named.
 pub(crate) fn real(named: &Path) -> PathBuf {
     let named: PathBuf = named.components().collect();
-    fs::canonicalize(&named).ok().filter(|_| named.is_symlink()).unwrap_or(named)
+    let place = abbe_files::place(&named);
+    let is_straight = std::env::current_dir().is_ok_and(|here| here.join(&named) == place);
+    if is_straight { named } else { place }
 }
 
 /// Bytes of a name that are left of it in one beside it: disks take 255.

@@ -1,6 +1,7 @@
 //! Runs the graph: data sets, then estimates, validators and exporters.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
@@ -18,7 +19,7 @@ use crate::plausibility::{check_stated, check_tips, check_uncertainties};
 use crate::prediction::{Predicted, prediction_fit};
 use crate::prepare::{Prepared, build_model};
 use crate::readings::has_readings;
-use crate::record::{FileRecord, Remark, input_records};
+use crate::record::{FileRecord, Remark, Stamp, changed, input_records, sha256, stamp, unchanged};
 use crate::row_settings::Wanted;
 use crate::saved::fit_without_rows;
 use crate::statuses;
@@ -43,9 +44,13 @@ impl Prepared {
     /// same time.
     pub fn run(&self, monitor: &Monitor) -> Result<Outcome> {
         let (started, clock) = (SystemTime::now(), Instant::now());
-        let inputs = input_records(&self.files)?;
         // Before a plugin may change the folder that relative paths start from.
-        let input_files = self.files.iter().filter_map(|file| std::fs::canonicalize(file).ok()).collect();
+        let places = self.files.iter().filter_map(|file| std::fs::canonicalize(file).ok());
+        let seen: Vec<(PathBuf, Stamp)> = places.map(|file| (file.clone(), stamp(&file))).collect();
+        let inputs = input_records(&self.files)?;
+        if inputs.first().is_some_and(|recipe| recipe.sha256 != sha256(self.recipe.text.as_bytes())) {
+            return Err(changed(&self.recipe.path));
+        }
         self.same_content(&inputs).iter().for_each(|sentence| tracing::warn!("{sentence}"));
         let data = self.read(monitor, None)?;
         let mut taken = Taken::default();
@@ -80,6 +85,7 @@ impl Prepared {
         let of_groups = self.copied_groups(&fits, &problems);
         of_groups.iter().for_each(|remark| tracing::warn!("{}: {}", remark.estimate, remark.text));
         let remarks = of_fits.chain(of_groups).collect();
+        unchanged(&seen, &inputs)?;
         Ok(Outcome {
             recipe: self.recipe.id.clone(),
             title: self.recipe.name.clone(),
@@ -90,7 +96,7 @@ impl Prepared {
             exports,
             failures,
             inputs,
-            input_files,
+            input_files: seen.into_iter().map(|(file, _)| file).collect(),
             plugins: self.plugins.clone(),
             started,
             duration: clock.elapsed(),

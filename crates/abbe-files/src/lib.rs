@@ -7,7 +7,7 @@ mod packed;
 
 use std::fs::{self, File, Metadata};
 use std::io::{self, Read};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 pub use packed::{Content, Packing, content_of, is_of_packing, most_content, open_content, without_packing};
 
@@ -73,11 +73,34 @@ pub fn is_same(one: &Path, other: &Path) -> bool {
     place(one) == place(other) || has_same_content(one, other)
 }
 
-/// Where a file is, or will be, with all links on the way to it followed.
+/// Where a file or folder is, or will be, with all links on the way to it followed and without any `..`: it stays the same place when
+/// something on the way is removed or renamed.
+///
+/// A way that no folder can ever be at, such as one through a file, is given back as it is named.
 pub fn place(file: &Path) -> PathBuf {
-    let parent = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let made = || Some(fs::canonicalize(parent).ok()?.join(file.file_name()?));
-    fs::canonicalize(file).ok().or_else(made).unwrap_or_else(|| file.to_owned())
+    fs::canonicalize(file).ok().or_else(|| followed(file)).unwrap_or_else(|| file.to_owned())
+}
+
+/// The place at the end of a way of which the last parts are not there yet.
+fn followed(way: &Path) -> Option<PathBuf> {
+    let mut place = if way.is_relative() { fs::canonicalize(".").ok()? } else { PathBuf::new() };
+    for part in way.components() {
+        match part {
+            Component::CurDir => {}
+            // What is not there will be a folder; a file, or a link that leads nowhere, has nothing above it.
+            Component::ParentDir if place.is_dir() || is_absent(&place) => drop(place.pop()),
+            Component::ParentDir => return None,
+            Component::Prefix(_) | Component::RootDir | Component::Normal(_) => {
+                place.push(part);
+                place = fs::canonicalize(&place).unwrap_or(place);
+            }
+        }
+    }
+    Some(place)
+}
+
+fn is_absent(path: &Path) -> bool {
+    path.symlink_metadata().is_err_and(|error| error.kind() == io::ErrorKind::NotFound)
 }
 
 #[cfg(unix)]
@@ -160,12 +183,43 @@ mod tests {
             ("soft", "hard"),
             ("new", "./below/../new"),
             ("below/new", "link/new"),
+            ("below/link/../new", "below/link/.././new"),
+            ("nowhere/new", "nowhere/./deep/../new"),
+            ("new", "nowhere/../new"),
+            ("a/../new", "a/../new"),
         ] {
             assert!(is_same(&at(one), &at(other)), "{one} {other}");
         }
         for (one, other) in [("a", "b"), ("a", "below/a"), ("new", "below/new"), ("nowhere/new", "elsewhere/new")] {
             assert!(!is_same(&at(one), &at(other)), "{one} {other}");
         }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_place_does_not_lead_through_what_may_be_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = fs::canonicalize(folder.path()).unwrap();
+        fs::create_dir_all(root.join("a/b")).unwrap();
+        fs::write(root.join("file"), "").unwrap();
+        std::os::unix::fs::symlink("../b", root.join("a/b/link")).unwrap();
+        std::os::unix::fs::symlink("nowhere", root.join("dangling")).unwrap();
+        for (named, expected) in [
+            ("a/../a", "a"),
+            ("a/b/../b/../../a/b", "a/b"),
+            ("a/b/link/link/new", "a/b/new"),
+            ("a/b/link/../new/../other", "a/other"),
+            ("new/deep/../er", "new/er"),
+            ("new/../../../", "../.."),
+            // As they are named.
+            ("file/../new", "file/../new"),
+            ("dangling/../new", "dangling/../new"),
+        ] {
+            let expected = root.join(expected);
+            let expected = fs::canonicalize(&expected).unwrap_or(expected);
+            assert_eq!(place(&root.join(named)), expected, "{named}");
+        }
+        assert_eq!(place(Path::new("../no-such/../no-such-file")), place(Path::new("..")).join("no-such-file"));
     }
 
     #[cfg(unix)]

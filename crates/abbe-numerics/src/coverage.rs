@@ -129,6 +129,23 @@ pub fn chi_squared_upper_tail(value: f64, degrees_of_freedom: f64) -> f64 {
     }
 }
 
+/// Probability that the correlation of `pairs` pairs of independent normal quantities is at least as far from zero as `correlation` by
+/// chance, on either side: Student's test with `pairs - 2` degrees of freedom. 1 with fewer than three pairs.
+///
+/// ```
+/// # use abbe_numerics::correlation_by_chance;
+/// // Tables of the coefficient of correlation: 0.632 of ten pairs is reached by chance in 5 %.
+/// assert!((correlation_by_chance(-0.6319, 10) - 0.05).abs() < 1e-4);
+/// ```
+pub fn correlation_by_chance(correlation: f64, pairs: usize) -> f64 {
+    if pairs < 3 || correlation.is_nan() {
+        return 1.0;
+    }
+    let degrees_of_freedom = (pairs - 2) as f64;
+    let rest = (1.0 - correlation * correlation).max(0.0);
+    beta_reg(degrees_of_freedom / 2.0, 0.5, rest)
+}
+
 /// Quantile of Hotelling's T², the squared distance of `quantities` quantities whose covariance was found with these degrees of
 /// freedom: `q f / (f - q + 1)` times that of F with q and f - q + 1 (Hotelling 1931); chi-squared where f is infinite. NaN
 /// with fewer degrees of freedom than quantities.

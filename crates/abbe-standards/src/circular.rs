@@ -41,6 +41,7 @@ pub struct Sample {
 pub struct Trace {
     samples: Vec<Sample>,
     left_out: usize,
+    travel: f64,
     full: bool,
 }
 
@@ -56,12 +57,17 @@ impl Trace {
         let inside = |angle: f64| angle >= first - SAME && (travel < TAU - SAME || angle < first + TAU - SAME);
         let kept: Vec<Sample> = unwrapped.iter().copied().filter(|sample| inside(sample.angle)).collect();
         let full = is_full(&kept);
-        Self { left_out: samples.len() - kept.len(), samples: kept, full }
+        Self { left_out: samples.len() - kept.len(), samples: kept, travel, full }
     }
 
     /// The samples of the turn.
     pub fn samples(&self) -> &[Sample] {
         &self.samples
+    }
+
+    /// From the smallest to the largest angle of all samples, overshoot included, rad.
+    pub fn travel(&self) -> f64 {
+        self.travel
     }
 
     /// How many samples of an overshoot were left out.

@@ -22,6 +22,15 @@ const TWINS: &str = "give one of them another name in the file, or take columns 
 /// Bytes of the longest cell: 64 KiB.
 pub(crate) const LONGEST_CELL: usize = 64 << 10;
 
+/// Cells of the widest row: more than any table has.
+pub(crate) const MOST_CELLS: usize = 1 << 17;
+
+/// The error for a row with another number of cells.
+pub(crate) fn ragged(path: &Path, line: usize, found: usize, expected: usize) -> Error {
+    let cells = if found == 1 { "cell" } else { "cells" };
+    Error::data(format!("the row has {found} {cells}; {expected} were expected")).at(path, line, None).help(RAGGED)
+}
+
 /// The columns of a file. Only the part of the file that is needed is read.
 pub(crate) fn headers(path: &Path, mut reader: impl BufRead) -> Result<Vec<ColumnHeader>> {
     let mut bytes = Vec::new();
@@ -70,9 +79,7 @@ pub(crate) fn dataset(path: &Path, bytes: &[u8], layout: &Layout) -> Result<(Dat
         let found = records.cells.len();
         let expected = *width.get_or_insert(found);
         if found != expected {
-            let cells = if found == 1 { "cell" } else { "cells" };
-            let message = format!("the row has {found} {cells}; {expected} were expected");
-            return Err(Error::data(message).at(path, records.line, None).help(RAGGED));
+            return Err(ragged(path, records.line, found, expected));
         }
         if taken.iter().any(|column| column.is_absent(&records, layout)) {
             continue;
@@ -238,6 +245,8 @@ pub(crate) struct Records<'a> {
     start: usize,
     /// Line of the current row, from 1.
     pub(crate) line: usize,
+    /// Cells of the first row.
+    width: Option<usize>,
 }
 
 impl<'a> Records<'a> {
@@ -250,7 +259,7 @@ impl<'a> Records<'a> {
             .delimiter(if separator == Separator::Space { 0x1F } else { separator.character() as u8 })
             .quoting(separator != Separator::Space)
             .from_reader(text.as_bytes());
-        Self { path, text, separator, reader, cells: csv::StringRecord::new(), start: 0, line: 1 }
+        Self { path, text, separator, reader, cells: csv::StringRecord::new(), start: 0, line: 1, width: None }
     }
 
     /// The rows after the lines that a layout skips.
@@ -276,6 +285,16 @@ impl<'a> Records<'a> {
             if self.separator == Separator::Space {
                 self.cells = self.cells.iter().flat_map(str::split_whitespace).collect::<Vec<_>>().into();
             }
+            let found = self.cells.len();
+            if found > MOST_CELLS {
+                return Err(match self.width {
+                    Some(width) => ragged(self.path, self.line, found, width),
+                    None => Error::data(format!("the row has {found} cells; at most {MOST_CELLS} are read"))
+                        .at(self.path, self.line, None)
+                        .help("is it a table? each row needs a line of its own"),
+                });
+            }
+            self.width.get_or_insert(found);
             // A superfluous quotation mark makes such a cell; it would contain several rows.
             if let Some(cell) = self.cells.iter().position(|cell| cell.contains(['\n', '\r'])) {
                 let error = Error::data("a quotation mark is not closed in its line")

@@ -12,7 +12,7 @@ use abbe_core::{ColumnHeader, Quantity, Result};
 use self::faults::{TIME, is_time, jumps, summaries, twins};
 use crate::layout::{Decimal, Encoding, Layout, Separator, Thousands};
 use crate::number::{is_number, plain};
-use crate::parse::Records;
+use crate::parse::{Records, ragged};
 use crate::text::{may_be_utf_16, text};
 
 /// Rows that are looked at to find a layout.
@@ -318,6 +318,12 @@ pub fn contents(path: &Path, layout: &Layout) -> Result<Contents> {
 /// Rows that are shown.
 const FIRST: usize = 5;
 
+/// How many times more cells than columns a row may have, and how many more: what has still more is no row of this table.
+const WIDER: (usize, usize) = (10, 1000);
+
+/// How many times more cells than bytes a table may seem to have, each column in each row counted: more is where hardly a row fills it.
+const EMPTIER: usize = 16;
+
 fn contents_of(path: &Path, text: &str, layout: &Layout) -> Result<Contents> {
     let mut found =
         Contents { comments: text.lines().filter(|line| line.starts_with('#')).count(), ..Contents::default() };
@@ -332,16 +338,26 @@ fn contents_of(path: &Path, text: &str, layout: &Layout) -> Result<Contents> {
     }
     let (mut rows, mut lines): (Vec<Vec<String>>, Vec<usize>) = (Vec::new(), Vec::new());
     while records.advance()? {
-        let row: Vec<String> = records.cells.iter().map(|cell| cell.trim().to_owned()).collect();
+        let cells = records.cells.len();
         if found.columns.is_empty() {
             let numbered = |index: usize| Found { name: (index + 1).to_string(), ..Found::default() };
-            found.columns = (0..row.len()).map(numbered).collect();
+            found.columns = (0..cells).map(numbered).collect();
         }
-        if row.len() != found.columns.len() {
-            found.ragged.push((records.line, row.len()));
+        let columns = found.columns.len();
+        if cells > WIDER.0 * columns + WIDER.1 {
+            return Err(ragged(path, records.line, cells, columns));
         }
-        rows.push(row);
+        if cells != columns {
+            found.ragged.push((records.line, cells));
+        }
+        rows.push(records.cells.iter().map(|cell| cell.trim().to_owned()).collect());
         lines.push(records.line);
+    }
+    // Each column is looked at in each row.
+    if let Some((line, cells)) = found.ragged.first()
+        && rows.len().saturating_mul(found.columns.len()) / EMPTIER > text.len()
+    {
+        return Err(ragged(path, *line, *cells, found.columns.len()));
     }
     found.rows = rows.len();
     found.lines = (lines.first().copied().unwrap_or(0), lines.last().copied().unwrap_or(0));

@@ -95,7 +95,7 @@ fn cut(text: &str) -> (&str, bool) {
 }
 
 /// Text from files and libraries as a person can read it: no characters that a terminal obeys, no endless words or spaces.
-fn readable(text: &str) -> String {
+pub fn readable(text: &str) -> String {
     let mut shown = String::new();
     let harmless = harmless(text);
     let (mut rest, is_cut) = cut(&harmless);

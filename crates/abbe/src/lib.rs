@@ -62,7 +62,10 @@ use abbe_bundle as _;
 
 /// Carries out the command line of this process; gives its exit status.
 pub fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => return not_understood(&error),
+    };
     // Who starts this program for a library alone looks at what it answers.
     if !matches!(arguments.command, Command::Plugin { .. }) {
         abbe_plugin::guard_exit();
@@ -70,6 +73,18 @@ pub fn main() -> ExitCode {
     // Also when a panic ends this function.
     let _end = ExpectedEnd;
     carried_out(arguments)
+}
+
+/// Says what is wrong with the arguments, or the help that they ask for; gives the exit status. Arguments may be names of files that
+/// somebody else has chosen (`*`).
+fn not_understood(error: &clap::Error) -> ExitCode {
+    let text = error.render().to_string();
+    if error.use_stderr() {
+        tell(&failure::readable(&text));
+    } else {
+        let _ = io::stdout().lock().write_all(harmless(&text).as_bytes());
+    }
+    ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2))
 }
 
 /// Marks the end of the process, when dropped, as intended by the program and not caused by a plugin.

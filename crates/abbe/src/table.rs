@@ -11,16 +11,27 @@ const NARROW: usize = 10;
 
 /// Rows as aligned text, the first one as header; columns in `right` are aligned to the right.
 pub fn text(rows: &[Vec<String>], right: &[usize]) -> String {
+    aligned_rows(rows, &marked(right, rows))
+}
+
+fn aligned_rows(rows: &[Vec<String>], right: &[bool]) -> String {
     let widths = widths(rows);
     rows.iter().map(|row| aligned(row, &widths, right)).collect()
+}
+
+/// Which of the columns are among these; a table may have many.
+fn marked(columns: &[usize], rows: &[Vec<String>]) -> Vec<bool> {
+    let mut marked = vec![false; rows.iter().map(Vec::len).max().unwrap_or(0)];
+    columns.iter().filter_map(|column| marked.get_mut(*column)).for_each(|mark| *mark = true);
+    marked
 }
 
 /// The same in lines that are no longer than `width`: words of columns of text are set below one another; if that is not enough,
 /// the columns stand in blocks below one another, each with the first `kept` ones.
 pub fn within(rows: &[Vec<String>], right: &[usize], kept: usize, width: usize) -> String {
-    let natural = widths(rows);
+    let (natural, right) = (widths(rows), marked(right, rows));
     if total(&natural) <= width {
-        return text(rows, right);
+        return aligned_rows(rows, &right);
     }
     let longest_word = |column: usize| {
         let words = rows.iter().filter_map(|row| row.get(column)).flat_map(|cell| cell.split_whitespace());
@@ -29,9 +40,9 @@ pub fn within(rows: &[Vec<String>], right: &[usize], kept: usize, width: usize) 
     let mut widths = natural.clone();
     let least: Vec<usize> = (0..widths.len()).map(|column| longest_word(column).max(NARROW)).collect();
     while total(&widths) > width {
-        let can_shrink = |column: &usize| !right.contains(column) && widths[*column] > least[*column];
+        let can_shrink = |column: &usize| !right[*column] && widths[*column] > least[*column];
         let Some(widest) = (0..widths.len()).filter(can_shrink).max_by_key(|column| widths[*column]) else {
-            return blocks(rows, right, kept, width);
+            return blocks(rows, &right, kept, width);
         };
         widths[widest] -= 1;
     }
@@ -40,14 +51,14 @@ pub fn within(rows: &[Vec<String>], right: &[usize], kept: usize, width: usize) 
         let cells: Vec<Vec<String>> = row.iter().zip(&widths).map(|(cell, width)| lines::rows(cell, *width)).collect();
         for line in 0..cells.iter().map(Vec::len).max().unwrap_or(0) {
             let cell = |cell: &Vec<String>| cell.get(line).map_or(String::new(), |part| part.trim().to_owned());
-            text.push_str(&aligned(&cells.iter().map(cell).collect::<Vec<_>>(), &widths, right));
+            text.push_str(&aligned(&cells.iter().map(cell).collect::<Vec<_>>(), &widths, &right));
         }
     }
     text
 }
 
 /// The columns in blocks below one another.
-fn blocks(rows: &[Vec<String>], right: &[usize], kept: usize, width: usize) -> String {
+fn blocks(rows: &[Vec<String>], right: &[bool], kept: usize, width: usize) -> String {
     let widths = widths(rows);
     let mut blocks: Vec<Vec<usize>> = Vec::new();
     for column in kept..widths.len() {
@@ -63,8 +74,8 @@ fn blocks(rows: &[Vec<String>], right: &[usize], kept: usize, width: usize) -> S
     let block = |columns: &Vec<usize>| {
         let of =
             |row: &Vec<String>| columns.iter().map(|column| row.get(*column).cloned().unwrap_or_default()).collect();
-        let right: Vec<usize> = (0..columns.len()).filter(|place| right.contains(&columns[*place])).collect();
-        text(&rows.iter().map(of).collect::<Vec<_>>(), &right)
+        let right: Vec<bool> = columns.iter().map(|column| right[*column]).collect();
+        aligned_rows(&rows.iter().map(of).collect::<Vec<_>>(), &right)
     };
     blocks.iter().map(block).collect::<Vec<_>>().join("\n")
 }
@@ -82,11 +93,11 @@ fn total(widths: &[usize]) -> usize {
     INDENT.len() + widths.iter().sum::<usize>() + GAP.len() * widths.len().saturating_sub(1)
 }
 
-fn aligned(row: &[String], widths: &[usize], right: &[usize]) -> String {
+fn aligned(row: &[String], widths: &[usize], right: &[bool]) -> String {
     let mut line = String::new();
     for (column, cell) in row.iter().enumerate() {
         let fill = " ".repeat(widths[column].saturating_sub(cell.chars().count()));
-        let (before, after) = if right.contains(&column) { (fill.as_str(), "") } else { ("", fill.as_str()) };
+        let (before, after) = if right[column] { (fill.as_str(), "") } else { ("", fill.as_str()) };
         line.push_str(if column == 0 { INDENT } else { GAP });
         line.push_str(&format!("{before}{cell}{after}"));
     }

@@ -12,6 +12,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+use crate::both_directions::{place_of_angle, smaller_direction};
 use crate::common::{
     Acceptance, Judge, Key, Limits, Sheet, check_limits, directions, doubted, faults, finite, names, run_name,
     too_quiet, undecided,
@@ -120,6 +121,9 @@ fn build(settings: Circular, _: &Context) -> Result<Box<dyn Validate>, SettingsE
     Ok(Box::new(Judge(settings)))
 }
 
+/// Turns above which angles are not those of a circle with its overshoot, which is half a turn or less at both ends.
+const MOST_TURNS: f64 = 3.0;
+
 /// The name of a direction.
 fn name_of(positive: bool) -> &'static str {
     if positive { "ccw" } else { "cw" }
@@ -190,12 +194,15 @@ impl Circular {
         let [angles, readings] = &samples;
         findings.remarks.extend(Self::turned(data, angles, &run)?);
         findings.remarks.extend(doubted(&run, &[readings]));
-        let faults = faults(&[(&self.reading, readings)], 1e-3 * self.standard_uncertainty_um, (1e3, "um"));
-        findings.remarks.extend(faults.iter().map(|fault| format!("{run}: {fault}")));
+        let mut faults = faults(&[(&self.reading, readings)], 1e-3 * self.standard_uncertainty_um, (1e3, "um"));
         let um: Vec<f64> = readings.iter().map(|value| 1e3 * value).collect();
         findings.remarks.extend(too_quiet(&run, &um, self.standard_uncertainty_um, "um"));
         let traces = [self.trace(data, &samples, true)?, self.trace(data, &samples, false)?];
         let both = traces[0].as_ref().zip(traces[1].as_ref()).and_then(|(one, other)| Bidirectional::of(one, other));
+        faults.extend(traces.iter().flatten().find_map(too_many_turns));
+        let places: Vec<usize> = angles.iter().map(|angle| place_of_angle(*angle)).collect();
+        faults.extend(smaller_direction(&[&um], &directions(data)?, &places, "um"));
+        findings.remarks.extend(faults.iter().map(|fault| format!("{run}: {fault}")));
         let mut sheet = Sheet::new(&run, &self.limits);
         for (trace, way) in traces.iter().zip([true, false]) {
             let way = name_of(way);
@@ -281,6 +288,17 @@ impl Acceptance for Circular {
         ));
         Ok(findings)
     }
+}
+
+/// Angles that no circle has.
+fn too_many_turns(trace: &Trace) -> Option<String> {
+    let turns = trace.travel() / TAU;
+    (turns > MOST_TURNS).then(|| {
+        format!(
+            "the angles go over {turns:.1} turns, and a circle is measured over one, with an overshoot at both ends: is the unit of the \
+             angle right?"
+        )
+    })
 }
 
 /// What a trace is not.

@@ -1,6 +1,7 @@
 //! Acceptance tests of machine tools and coordinate measuring machines as standards evaluate them: validators over the
 //! data that Abbe reads. The figures are those of `abbe-standards`.
 
+mod both_directions;
 mod circular;
 mod cmm_lengths;
 mod cmm_probing;

@@ -179,7 +179,6 @@ impl Acceptance for Settings {
             let faults = readings.faults(copied.is_some());
             findings.remarks.extend(copied);
             findings.remarks.extend(faults.iter().map(|fault| format!("{}: {fault}", readings.name)));
-            findings.remarks.extend(readings.turned_run().map(|turned| format!("{}: {turned}", readings.name)));
             findings.remarks.extend(self.uncertainty.and_then(|stated| stated.quiet(&readings)));
             let first = findings.figures.len();
             self.judge(&readings, &mut findings);

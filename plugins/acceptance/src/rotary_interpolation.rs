@@ -8,6 +8,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+use crate::both_directions::{place_of_angle, smaller_direction};
 use crate::common::{
     Acceptance, Judge, Key, Limits, Sheet, check_limits, directions, doubted, faults, finite, names, run_name,
     too_quiet, undecided,
@@ -171,10 +172,12 @@ impl Rotary {
         findings.remarks.extend(doubted(&run, &columns));
         let named: Vec<(&str, &[f64])> =
             self.readings.iter().map(String::as_str).zip(columns.iter().copied()).collect();
-        let faults = faults(&named, 1e-3 * self.standard_uncertainty_um, (1e3, "um"));
+        let mut faults = faults(&named, 1e-3 * self.standard_uncertainty_um, (1e3, "um"));
+        let um: Vec<Vec<f64>> = columns.iter().map(|column| column.iter().map(|value| 1e3 * value).collect()).collect();
+        let places: Vec<usize> = angles.iter().map(|angle| place_of_angle(*angle)).collect();
+        faults.extend(smaller_direction(&um.iter().map(Vec::as_slice).collect::<Vec<_>>(), &ways, &places, "um"));
         findings.remarks.extend(faults.iter().map(|fault| format!("{run}: {fault}")));
-        let um: Vec<f64> = columns.iter().flat_map(|column| column.iter().map(|value| 1e3 * value)).collect();
-        findings.remarks.extend(too_quiet(&run, &um, self.standard_uncertainty_um, "um"));
+        findings.remarks.extend(too_quiet(&run, &um.concat(), self.standard_uncertainty_um, "um"));
         let lacking = self.lacking(angles, &ways);
         findings.remarks.extend(lacking.iter().map(|lacking| format!("{run}: {lacking}")));
         let mut all: Vec<(&str, &'static str, Vec<f64>)> = Vec::new();

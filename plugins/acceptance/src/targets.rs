@@ -6,6 +6,7 @@ use abbe_core::{DataRow, Dataset, Error, Quantity, Result};
 use abbe_standards::positioning::Target;
 use abbe_standards::positioning::plan::Axis;
 
+use crate::both_directions::{mirrored, smaller_direction};
 use crate::common::{copied_repeats, directions, faults, finite, no_data, run_name};
 
 /// Positions that are no farther apart are one target: mm or degrees.
@@ -30,6 +31,9 @@ pub struct Readings {
     runs: Vec<(String, OfRun)>,
     /// Whether the rows of both directions run against them.
     is_turned: bool,
+    /// Whether each row is in the positive direction, and its target.
+    ways: Vec<bool>,
+    places: Vec<usize>,
 }
 
 /// Fewest readings of a run that is compared with the others.
@@ -101,10 +105,12 @@ impl Readings {
             .filter(|row| ways[*row] == ways[row - 1] && of_one_run(*row))
             .map(|row| (ways[row], (positions[row] - positions[row - 1]) * scale));
         let is_turned = run_against_directions(steps);
-        Ok(Self { name: run_name(data), axis, unit, targets, in_order, runs: of_runs, is_turned })
+        let places = positions.iter().map(|position| places[&(position * scale).to_bits()]).collect();
+        Ok(Self { name: run_name(data), axis, unit, targets, in_order, runs: of_runs, is_turned, ways, places })
     }
 
-    /// Faults of the instrument, and repeats that are copies where these were not told already.
+    /// Faults of the instrument, signs and units that are wrong in a part of the rows, and repeats that are copies where these were not
+    /// told already.
     pub fn faults(&self, is_told: bool) -> Vec<String> {
         let found = faults(&[("reading", &self.in_order)], 0.0, (1.0, self.unit));
         let groups: Vec<Vec<f64>> =
@@ -115,11 +121,20 @@ impl Readings {
              `direction`?"
                 .to_owned()
         });
-        found.into_iter().chain(copied).chain(turned).collect()
+        let smaller = smaller_direction(&[&self.in_order], &self.ways, &self.places, self.unit);
+        let signs = self.turned_run().or_else(|| mirrored(&self.means(), self.unit));
+        found.into_iter().chain(copied).chain(turned).chain(smaller).chain(signs).collect()
+    }
+
+    /// Mean readings up and down of the targets that have both.
+    fn means(&self) -> Vec<[f64; 2]> {
+        let mean = |readings: &Vec<f64>| readings.iter().sum::<f64>() / readings.len() as f64;
+        let both = self.targets.iter().filter(|target| !target.up.is_empty() && !target.down.is_empty());
+        both.map(|target| [mean(&target.up), mean(&target.down)]).collect()
     }
 
     /// A run that is like the others with all its signs turned, in words.
-    pub fn turned_run(&self) -> Option<String> {
+    fn turned_run(&self) -> Option<String> {
         // Root mean square of what readings, times a sign, are apart from the mean of other runs; none where they cannot be compared.
         let apart = |run: usize, without: usize, sign: f64| {
             let others = |key: &(usize, bool)| -> Vec<f64> {

@@ -98,6 +98,30 @@ fn is_block(name: &str, text: &str) -> Result<(), SettingsError> {
     }
 }
 
+/// Whether a block chooses a work offset: one of Fanuc's, or of Haas.
+fn is_work_offset(block: &str) -> bool {
+    let (code, rest) = block.split_once(' ').map_or((block, None), |(code, rest)| (code, Some(rest)));
+    match (code, rest) {
+        ("G54.1" | "G154", Some(number)) => {
+            number.strip_prefix('P').is_some_and(|number| number.parse::<u32>().is_ok_and(|number| number > 0))
+        }
+        (_, None) => {
+            let number = code.strip_prefix('G').and_then(|number| number.parse::<u32>().ok());
+            number.is_some_and(|number| (54..=59).contains(&number) || (110..=129).contains(&number))
+        }
+        _ => false,
+    }
+}
+
+/// Whether a block is `G31`, as such (`G31.1` of some controls), perhaps with the number of a signal (`G31 P1`).
+fn moves_until_signal(skip: &str) -> bool {
+    let is_number = |text: &str| !text.is_empty() && text.chars().all(|digit| digit.is_ascii_digit());
+    let mut words = skip.split(' ');
+    let code = words.next().and_then(|word| word.strip_prefix("G31"));
+    let moves = code.is_some_and(|rest| rest.is_empty() || rest.strip_prefix('.').is_some_and(is_number));
+    moves && words.all(|word| word.strip_prefix('P').is_some_and(is_number))
+}
+
 fn build(settings: Settings, context: &Context) -> Result<Box<dyn Export>, SettingsError> {
     if !(1..=9998).contains(&settings.program) {
         return Err(SettingsError::new("program", "a number from 1 to 9998 was expected"));
@@ -109,7 +133,17 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Export>, Setti
         return Err(SettingsError::new("first_alarm", "a number up to 190 was expected"));
     }
     is_block("skip", &settings.skip)?;
+    if !moves_until_signal(&settings.skip) {
+        let message =
+            format!("`{}` does not stop at the skip signal: with it the probe would be driven on", settings.skip);
+        return Err(SettingsError::new("skip", format!("{message}; `G31`, `G31.1` or `G31 P1` were expected")));
+    }
     is_block("work_offset", &settings.work_offset)?;
+    if !is_work_offset(&settings.work_offset) {
+        let message = format!("`{}` is no work offset", settings.work_offset);
+        let expected = "`G54` to `G59`, `G54.1 P1`, and on a Haas `G154 P1` or `G110` to `G129`, were expected";
+        return Err(SettingsError::new("work_offset", format!("{message}; {expected}")));
+    }
     is_block("orientation", &settings.orientation)?;
     let common = Common::new(context, &settings.nominal, settings.tolerance_um, &settings.motion)?;
     Ok(common.exporter(Fanuc { settings }))
