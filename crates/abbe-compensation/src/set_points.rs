@@ -43,6 +43,13 @@ impl SetPoints {
         // What is corrected is what was read.
         let text = abbe_table::read_text(path)?;
         let data = abbe_table::parse(path, text.as_bytes())?;
+        Ok(Self { path: path.to_owned(), text, ..Self::of_data(data, model, time)? })
+    }
+
+    /// The same for set-points that are read. They have no text: only a file can be written again with other commands.
+    ///
+    /// Fails as [`read_at`](Self::read_at) does.
+    pub fn of_data(data: Dataset, model: &dyn KinematicModel, time: Option<f64>) -> Result<Self> {
         let file = data.files.first();
         let in_file = |error: Error| file.map_or_else(|| error.clone(), |file| error.clone().in_file(file));
         let info = model.info();
@@ -119,7 +126,7 @@ impl SetPoints {
                 );
             }
         }
-        Ok(Self { path: path.to_owned(), text, data, statuses, directions_of_path })
+        Ok(Self { path: PathBuf::new(), text: String::new(), data, statuses, directions_of_path })
     }
 
     /// The statuses, point by point: points x columns of [`ModelInfo::status`](abbe_core::ModelInfo::status).

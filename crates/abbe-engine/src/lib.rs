@@ -9,6 +9,7 @@ mod check;
 mod described;
 mod evidence;
 mod folder;
+mod given;
 mod groups;
 mod laws;
 mod outcome;
@@ -41,6 +42,7 @@ pub use abbe_planning::{LargestOfInput, Order, Plan, PlanFigures, Reached, Revis
 pub use check::Planned;
 pub use described::{Described, prepare_text};
 pub use folder::{can_write_folder, write_folder};
+pub use given::{Given, prepare_given};
 pub use groups::day_of;
 pub use laws::Laws;
 pub use outcome::{CALIBRATION, Failure, Outcome, REPORT, VERDICTS, residuals_file};

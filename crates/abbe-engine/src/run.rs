@@ -47,6 +47,7 @@ impl Prepared {
         let input_files = self.files.iter().filter_map(|file| std::fs::canonicalize(file).ok()).collect();
         self.same_content(&inputs).iter().for_each(|sentence| tracing::warn!("{sentence}"));
         let data = self.read(monitor, None)?;
+        let inputs = self.with_given(inputs, &data)?;
         let mut taken = Taken::default();
         let problems = self.problems(&data, &mut taken)?;
         let digests = digests(&inputs);

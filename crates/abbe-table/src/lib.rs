@@ -11,6 +11,7 @@ mod number;
 mod parse;
 mod rewrite;
 mod settings;
+mod shared;
 mod survey;
 mod text;
 
@@ -26,6 +27,7 @@ pub use layout::{ColumnSource, Decimal, Encoding, Layout, Separator, Thousands, 
 pub use number::{number, number_in};
 pub use rewrite::{Cells, with_cells, with_cells_laid_out, with_columns};
 pub use settings::{ColumnInUnit, Declared, Source};
+pub use shared::of_table;
 pub use survey::{Contents, Found, Jump, Likely, Summary, contents, likely};
 
 /// Reads the columns of a file, not its rows.

@@ -77,6 +77,8 @@ pub(crate) struct Assembly {
     keep: Filters,
     motion: Option<Motion>,
     within: Ranges,
+    /// One table stands in the place of all files.
+    is_one_table: bool,
 }
 
 impl Assembly {
@@ -104,12 +106,18 @@ impl Assembly {
             keep,
             motion: None,
             within: Ranges::new(),
+            is_one_table: false,
         })
     }
 
     /// The same with columns for the motion of axes, and with the rows of these ranges only.
     pub(crate) fn in_passing(self, motion: Option<Motion>, within: Ranges) -> Self {
         Self { motion, within, ..self }
+    }
+
+    /// The same with one table in the place of all files. It is named as the first of them.
+    pub(crate) fn of_one_table(self) -> Self {
+        Self { is_one_table: true, ..self }
     }
 
     /// The files that it reads.
@@ -120,7 +128,7 @@ impl Assembly {
             files => files,
         });
         let table = self.join.iter().map(|(table, _)| table.clone());
-        files.map(input("path")).chain(table.map(input("join"))).collect()
+        files.filter(|_| !self.is_one_table).map(input("path")).chain(table.map(input("join"))).collect()
     }
 
     /// The columns of the data set, from what `load` tells of each file without rows.
@@ -167,8 +175,9 @@ impl Assembly {
     /// rows stay after `motion`.
     fn assemble(&self, load: Load<'_>, table: Load<'_>) -> Result<(Dataset, Vec<bool>)> {
         let mut data = Dataset::default();
-        for source in &self.sources {
-            let files = source.files();
+        let sources = if self.is_one_table { &self.sources[..1] } else { &self.sources };
+        for source in sources {
+            let files = if self.is_one_table { vec![source.path.clone()] } else { source.files() };
             if files.is_empty() {
                 return Err(Error::usage(format!("no file matches `{}`", source.path.display()))
                     .help("`*` and `?` stand for parts of the name of a file; the folder has to be there")

@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Arc;
 
-use abbe_core::{ColumnHeader, Context, Dataset, Ingest, InputFile, Label, PathItem, Result, SettingsError};
+use abbe_core::{ColumnHeader, Context, Dataset, Ingest, InputFile, Label, PathItem, Result, SettingsError, Table};
 use abbe_table::{Decimal, Declared, Encoding, Layout, Separator, Thousands};
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -80,6 +81,8 @@ struct Csv {
     assembly: Assembly,
     layout: Layout,
     average: Option<Average>,
+    /// A table of a program, in the place of the files.
+    table: Option<Arc<Table>>,
 }
 
 abbe_core::register!(
@@ -122,7 +125,7 @@ pub(crate) fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ing
         return Err(error.under([PathItem::Key("within".to_owned())]));
     }
     let assembly = Assembly::new(path, constants, join, [ignore, keep], context)?;
-    Ok(Box::new(Csv { assembly: assembly.in_passing(motion, within), layout: layout.layout()?, average }))
+    Ok(Box::new(Csv { assembly: assembly.in_passing(motion, within), layout: layout.layout()?, average, table: None }))
 }
 
 impl Ingest for Csv {
@@ -132,7 +135,10 @@ impl Ingest for Csv {
 
     fn headers(&self) -> Result<Vec<ColumnHeader>> {
         // What `read` does, on tables without rows: so the columns cannot differ.
-        let data = self.assembly.without_rows(&|path| without_rows(path, &self.layout))?;
+        let data = self.assembly.without_rows(&|path| match &self.table {
+            Some(table) => Ok(abbe_table::of_table(path, &table.without_rows(), &self.layout)?.0),
+            None => without_rows(path, &self.layout),
+        })?;
         Ok(match &self.average {
             Some(average) => average.of(&data)?.headers(),
             None => data.headers(),
@@ -140,19 +146,28 @@ impl Ingest for Csv {
     }
 
     fn read(&self) -> Result<Dataset> {
-        let data = self.assembly.read(&|path| rows_of(path, &self.layout))?;
+        let data = self.assembly.read(&|path| self.rows_of(path))?;
         match &self.average {
             Some(average) => average.of(&data),
             None => Ok(data),
         }
     }
+
+    fn with_table(self: Box<Self>, table: Arc<Table>) -> Result<Box<dyn Ingest>> {
+        Ok(Box::new(Self { assembly: self.assembly.of_one_table(), table: Some(table), ..*self }))
+    }
 }
 
-fn rows_of(path: &Path, layout: &Layout) -> Result<Dataset> {
-    let (data, left_out) = abbe_table::read_laid_out(path, layout)?;
-    if left_out > 0 {
-        let [holds, are] = if left_out == 1 { ["row holds", "is"] } else { ["rows hold", "are"] };
-        tracing::warn!("{}: {left_out} {holds} a mark of `no_data` and {are} left out", path.display());
+impl Csv {
+    fn rows_of(&self, path: &Path) -> Result<Dataset> {
+        let (data, left_out) = match &self.table {
+            Some(table) => abbe_table::of_table(path, table, &self.layout)?,
+            None => abbe_table::read_laid_out(path, &self.layout)?,
+        };
+        if left_out > 0 {
+            let [holds, are] = if left_out == 1 { ["row holds", "is"] } else { ["rows hold", "are"] };
+            tracing::warn!("{}: {left_out} {holds} a mark of `no_data` and {are} left out", path.display());
+        }
+        Ok(data)
     }
-    Ok(data)
 }

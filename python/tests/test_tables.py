@@ -1,0 +1,169 @@
+"""Tables in the place of files: from NumPy, pandas, polars and pyarrow, with the rules of columns in files."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import abbe
+
+TOUCHES = "pipelines/data/tango-hu40t/realistic/touches.csv"
+RECIPE = "pipelines/first-steps.yaml"
+
+
+def columns() -> dict[str, list[Any]]:
+    with open(TOUCHES, newline="") as file:
+        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+
+    def cell(name: str, text: str) -> Any:
+        return float(text) if "_mm" in name or "_deg" in name or name.startswith("dir_") or name == "time_s" else text
+
+    return {name: [cell(name, row[name]) for row in rows] for name in rows[0]}
+
+
+def arrays() -> dict[str, Any]:
+    return {name: np.array(cells) for name, cells in columns().items()}
+
+
+def structured() -> Any:
+    found = arrays()
+    table = np.empty(len(next(iter(found.values()))), dtype=[(name, cells.dtype) for name, cells in found.items()])
+    for name, cells in found.items():
+        table[name] = cells
+    return table
+
+
+def with_pandas() -> Any:
+    return pytest.importorskip("pandas").DataFrame(columns())
+
+
+def with_polars() -> Any:
+    polars = pytest.importorskip("polars")
+    table = polars.DataFrame(columns())
+    # In two chunks, and names as numbers and as categories.
+    table = polars.concat([table[:100], table[100:]], rechunk=False)
+    return table.with_columns(polars.col("feature").cast(polars.Int32), polars.col("group").cast(polars.Categorical))
+
+
+def with_pyarrow() -> Any:
+    pyarrow = pytest.importorskip("pyarrow")
+    table = pyarrow.table(columns())
+    return pyarrow.concat_tables([table.slice(0, 57), table.slice(57)])
+
+
+def comparable(calibration: str) -> dict[str, Any]:
+    """All but the digest of the data, which is that of the table."""
+    found: dict[str, Any] = json.loads(calibration)
+    for record in found["data"]:
+        record.pop("sha256")
+    return found
+
+
+@pytest.mark.parametrize("table", [columns, arrays, structured, with_pandas, with_polars, with_pyarrow])
+def test_a_table_gives_what_its_file_gives(table: Any, tmp_path: Path) -> None:
+    """The same values to the last bit, and the same files; the recipe's file of touches is not read."""
+    from_file = abbe.run(RECIPE)
+    text = Path(RECIPE).read_text().replace("touches.csv", "nowhere.csv")
+    recipe = tmp_path / "first-steps.yaml"
+    recipe.write_text(text.replace("data/", f"{Path('pipelines').resolve()}/data/"))
+    from_table = abbe.run(recipe, data={"touches": table()})
+    ours, theirs = comparable(from_table.fits["fit"].to_json()), comparable(from_file.fits["fit"].to_json())
+    ours["data"] = theirs["data"] = None
+    for outlier in [*ours["outliers"], *theirs["outliers"]]:
+        outlier.pop("file")
+    assert ours == theirs
+    for name, column in from_file.fits["fit"].residuals.items():
+        if name != "file":
+            same = from_table.fits["fit"].residuals[name]
+            assert np.array_equal(same, column) or np.array_equal(same, column, equal_nan=True), name
+
+
+def test_the_record_names_the_table() -> None:
+    table = arrays()
+    one, same = (abbe.run(RECIPE, data={"touches": table}).record["inputs"] for _ in range(2))
+    [first] = [record for record in one if record["file"].endswith("touches.csv")]
+    assert first in same
+    table["X_mm"] = table["X_mm"].copy()
+    table["X_mm"][0] += 1e-9
+    other = abbe.run(RECIPE, data={"touches": table}).record["inputs"]
+    assert first not in other and len(other) == len(one)
+
+
+def test_units_stand_in_names() -> None:
+    table = arrays()
+    table["X_um"] = table.pop("X_mm") * 1e3
+    table["B_rad"] = np.radians(table.pop("B_deg"))
+    found = abbe.run(RECIPE, data={"touches": table}).fits["fit"]
+    expected = abbe.run(RECIPE).fits["fit"]
+    apart = np.abs(found.parameters["value"] - expected.parameters["value"])
+    assert np.all(apart <= 1e-6 * expected.parameters["standard_uncertainty"] + 1e-15)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda table: table.pop("Z_mm"), "there is no column `Z`"),
+        (lambda table: table.update(Z=table.pop("Z_mm")), "does not say its unit"),
+        (lambda table: table.update(Z_deg=table.pop("Z_mm")), "the column `Z_deg` has the wrong unit"),
+        (lambda table: table["Z_mm"].__setitem__(4, np.nan), "`Z_mm` is empty; a number was expected"),
+        (lambda table: table.update(Z_mm=table["Z_mm"][:-1]), "rows;"),
+        (lambda table: table.update(Z_mm=[object()] * 3), "the column `Z_mm` holds object"),
+        (lambda table: table.update(Z_mm="no column"), "the column `Z_mm` holds one text"),
+        (lambda table: table.update({"Z_um": table["Z_mm"]}), "both named `Z`"),
+    ],
+)
+def test_wrong_tables_are_refused(change: Any, message: str) -> None:
+    table = arrays()
+    change(table)
+    with pytest.raises(abbe.AbbeError) as caught:
+        abbe.run(RECIPE, data={"touches": table})
+    assert message in caught.value.message, caught.value
+
+
+def test_a_cell_has_its_place() -> None:
+    table = arrays()
+    table["Z_mm"][4] = np.inf
+    with pytest.raises(abbe.DataError) as caught:
+        abbe.check(RECIPE, data={"touches": table})
+    assert (caught.value.line, caught.value.stage) == (6, "touches")
+    assert caught.value.file is not None and caught.value.file.endswith("touches.csv")
+
+
+def test_only_tables_are_taken() -> None:
+    with pytest.raises(abbe.AbbeError, match="a table was expected, not int"):
+        abbe.run(RECIPE, data={"touches": 3})
+    with pytest.raises(abbe.RecipeError, match="`table`, which is no ingest stage") as caught:
+        abbe.run(RECIPE, data={"table": columns()})
+    assert caught.value.help == "its ingest stages are: touches"
+    with pytest.raises(abbe.RecipeError, match="did you mean `touches`"):
+        abbe.run(RECIPE, data={"touche": columns()})
+
+
+def test_a_stage_that_reads_other_files_takes_none() -> None:
+    recipe = {"abbe": 1, "stages": {"log": {"ingest": "log", "control": "linuxcnc", "path": "a.log", "plan": "plan.json"}}}
+    with pytest.raises(abbe.RecipeError) as caught:
+        abbe.check(recipe, data={"log": columns()})
+    assert caught.value.stage == "log"
+
+
+def test_results_are_taken_by_other_libraries() -> None:
+    pandas, polars, pyarrow = (pytest.importorskip(name) for name in ("pandas", "polars", "pyarrow"))
+    table = abbe.run(RECIPE).fits["fit"].parameters
+    values, names = list(table["value"]), list(table["name"])
+    for frame in (pandas.DataFrame(table), pandas.DataFrame.from_arrow(table), polars.DataFrame(table)):
+        assert list(frame["name"]) == names and list(frame["value"]) == values
+    assert pyarrow.table(table).column("value").to_pylist() == values
+    assert [dict(table)["value"][0], np.asarray(table)[0]["value"]] == [values[0]] * 2
+    assert "<table>" in table._repr_html_() and "EC0B" in repr(table)
+
+
+def test_missing_numbers_stay_missing() -> None:
+    polars = pytest.importorskip("polars")
+    figures = next(iter(abbe.run(RECIPE).verdicts.values())).figures
+    limits = polars.DataFrame(figures)["limit"]
+    assert limits.null_count() == int(np.isnan(figures["limit"]).sum()) > 0
