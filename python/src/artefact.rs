@@ -10,6 +10,7 @@ use abbe_core::{
     RowIndex, SettingsError, Target, Unit, Values, plain_naming, pose_columns, positive,
 };
 use pyo3::buffer::PyBuffer;
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::{Value, json};
@@ -39,10 +40,9 @@ impl Definition {
     /// Reads it off the object of Python.
     pub fn of(object: &Bound<'_, PyAny>) -> PyResult<Self> {
         let unknowns: Vec<(String, String)> = object.call_method0("_unknowns")?.extract()?;
-        let unknown = |(name, unit): (String, String)| {
-            let unit: std::result::Result<Unit, _> = unit.parse();
-            let wrong = |error| pyo3::exceptions::PyValueError::new_err(format!("unknown `{name}`: {error}"));
-            Ok(Parameter::new(&name, unit.map_err(wrong)?))
+        let unknown = |(name, unit): (String, String)| -> PyResult<Parameter> {
+            let unit = unit.parse::<Unit>().map_err(|error| PyValueError::new_err(format!("`{name}`: {error}")))?;
+            Ok(Parameter::new(&name, unit))
         };
         Ok(Self {
             name: object.getattr("name")?.extract()?,
@@ -58,7 +58,7 @@ impl Definition {
     /// The plugin that recipes name.
     pub fn plugin(self: &Arc<Self>) -> Plugin {
         let definition = self.clone();
-        let build = move |settings: &Value, _: &abbe_core::Context| -> std::result::Result<Box<dyn Artefact>, _> {
+        let build = move |settings: &Value, _: &abbe_core::Context| -> Result<Box<dyn Artefact>, SettingsError> {
             let um = settings.get("standard_uncertainty_um").and_then(Value::as_f64).ok_or_else(|| {
                 let message = "the setting `standard_uncertainty_um` is missing";
                 SettingsError::new("standard_uncertainty_um", message)
@@ -192,12 +192,12 @@ impl Evaluated {
             false => Err(Error::data(format!("{} residuals; {expected} were expected", found.len())).fatal()),
         }
     }
+}
 
-    /// Central differences of the residuals between two calls.
-    fn difference(&self, step: f64, mut at: impl FnMut(f64) -> Result<Vec<f64>>) -> Result<Vec<f64>> {
-        let (up, down) = (at(step)?, at(-step)?);
-        Ok(up.iter().zip(&down).map(|(up, down)| (up - down) / (2.0 * step)).collect())
-    }
+/// Central differences of residuals.
+fn difference(step: f64, at: impl Fn(f64) -> Result<Vec<f64>>) -> Result<Vec<f64>> {
+    let (up, down) = (at(step)?, at(-step)?);
+    Ok(up.iter().zip(&down).map(|(up, down)| (up - down) / (2.0 * step)).collect())
 }
 
 impl Observations for Evaluated {
@@ -210,7 +210,7 @@ impl Observations for Evaluated {
         Python::attach(|py| {
             let residuals = self.residuals(py, &rows, batch.positions, batch.own)?;
             let by_tip = [0, 1, 2].map(|axis| {
-                self.difference(STEP_MM, |step| {
+                difference(STEP_MM, |step| {
                     let mut tips = batch.positions.to_vec();
                     tips.iter_mut().for_each(|tip| tip[axis] += step);
                     self.residuals(py, &rows, &tips, batch.own)
@@ -220,7 +220,7 @@ impl Observations for Evaluated {
             let (by_x, by_y, by_z) = (by_x?, by_y?, by_z?);
             let by_own = self.info.unknowns.iter().enumerate().map(|(index, unknown)| {
                 let step = if unknown.unit == Unit::MM { STEP_MM } else { STEP };
-                self.difference(step, |step| {
+                difference(step, |step| {
                     let mut own = batch.own.to_vec();
                     own[index] += step;
                     self.residuals(py, &rows, batch.positions, &own)

@@ -27,9 +27,10 @@ pub struct Calibration {
 /// Reads a calibration file.
 #[pyfunction]
 pub fn read_calibration(py: Python<'_>, path: PathBuf) -> PyResult<Calibration> {
-    let read = || {
+    let read = || -> Result<Calibration> {
         let text = std::fs::read_to_string(&path).map_err(|error| {
-            Error::usage(format!("the file cannot be read: {error}")).help("name `<estimate>.calibration.json` of a run")
+            Error::usage(format!("the file cannot be read: {error}"))
+                .help("name `<estimate>.calibration.json` of a run")
         })?;
         let calibration = abbe_core::Calibration::from_json(&text)?;
         let model = model_of(&calibration, &Registry::built_in()?)?;

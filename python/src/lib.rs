@@ -18,7 +18,7 @@ mod work;
 use abbe_bundle as _;
 
 /// The part of the package `abbe` that is written in Rust. Use `abbe` instead: names here may change.
-#[pyo3::pymodule(name = "_abbe", gil_used = false)]
+#[pyo3::pymodule(name = "_abbe")]
 mod module {
     use pyo3::prelude::*;
 

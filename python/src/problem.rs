@@ -91,7 +91,7 @@ impl Problem {
         py: Python<'py>,
         x: Vec<f64>,
     ) -> PyResult<(Bound<'py, PyByteArray>, Bound<'py, PyByteArray>)> {
-        let linearised = || {
+        let linearised = || -> Result<(Vec<f64>, Vec<f64>)> {
             self.check(&x)?;
             let (mut residuals, mut jacobian) = (Vec::new(), Vec::new());
             self.0.linearise(&x, |block| {
@@ -106,7 +106,7 @@ impl Problem {
 
     /// The triangular factor at x, of rows of unit variance.
     fn factor(&self, py: Python<'_>, x: Vec<f64>) -> PyResult<Factor> {
-        let factor = || {
+        let factor = || -> Result<abbe_numerics::Factor> {
             self.check(&x)?;
             Weighted::new(&self.0)?.factor(&x, None)
         };
@@ -133,7 +133,9 @@ fn parts(problem: &abbe_core::Problem, count: usize) -> Result<Vec<abbe_core::Pr
     }
     let part = |index: usize| {
         let own = &rows[rows.len() * index / count..rows.len() * (index + 1) / count];
-        let of_set = |set| own.iter().filter(move |(other, _)| *other == set).map(|(_, row)| *row).collect();
+        let of_set = |set: SetIndex| -> Vec<RowIndex> {
+            own.iter().filter(|(other, _)| *other == set).map(|(_, row)| *row).collect()
+        };
         problem.set_indices().fold(problem.clone(), |part, set| part.with_rows(set, of_set(set)))
     };
     Ok((0..count).map(part).collect())
@@ -172,8 +174,7 @@ impl Factor {
     /// The upper triangle R, row by row, and `Q^T r`.
     fn triangle<'py>(&self, py: Python<'py>) -> (Bound<'py, PyByteArray>, Bound<'py, PyByteArray>) {
         let columns: Vec<Vec<f64>> = (0..self.0.unknowns()).map(|unknown| self.0.column(unknown)).collect();
-        let rows: Vec<f64> =
-            (0..columns.len()).flat_map(|row| columns.iter().map(move |column| column[row])).collect();
+        let rows: Vec<f64> = (0..columns.len()).flat_map(|row| columns.iter().map(move |column| column[row])).collect();
         (bytes_of(py, &rows), bytes_of(py, self.0.right()))
     }
 

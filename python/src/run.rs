@@ -118,7 +118,7 @@ impl Outcome {
     }
 
     /// The verdicts: stage, plugin, decision, figures, remarks.
-    fn verdicts(&self) -> PyResult<Vec<(String, String, String, Columns, Vec<String>)>> {
+    fn verdicts(&self) -> PyResult<Vec<Told>> {
         self.0.verdicts.iter().map(verdict).collect()
     }
 
@@ -159,14 +159,15 @@ impl Outcome {
 }
 
 /// A verdict: stage, plugin, decision, figures, remarks.
-fn verdict(verdict: &Verdict) -> PyResult<(String, String, String, Columns, Vec<String>)> {
+type Told = (String, String, String, Columns, Vec<String>);
+
+fn verdict(verdict: &Verdict) -> PyResult<Told> {
     let figures = &verdict.figures;
     let mut columns = Collected::default();
     columns.texts("of", figures.iter().map(|figure| figure.of.as_deref()));
     columns.texts("name", figures.iter().map(|figure| Some(&figure.name)));
     columns.some_numbers("value", figures.iter().map(|figure| figure.value).collect());
-    columns
-        .some_numbers("standard_uncertainty", figures.iter().map(|figure| figure.standard_uncertainty).collect());
+    columns.some_numbers("standard_uncertainty", figures.iter().map(|figure| figure.standard_uncertainty).collect());
     columns.texts("unit", figures.iter().map(|figure| Some(&figure.unit)));
     columns.some_numbers("limit", figures.iter().map(|figure| figure.limit).collect());
     columns.texts("decision", figures.iter().map(|figure| figure.decision.map(|decision| decision.to_string())));
@@ -178,7 +179,7 @@ fn verdict(verdict: &Verdict) -> PyResult<(String, String, String, Columns, Vec<
 fn residuals(found: &Residuals) -> PyResult<Columns> {
     let rows = &found.rows;
     let mut columns = Collected::default();
-    let of = |is_angle: bool, value: fn(&abbe_report::Residual) -> f64| {
+    let of = |is_angle: bool, value: fn(&abbe_report::Residual) -> f64| -> Vec<Option<f64>> {
         rows.iter().map(|row| (row.is_angle == is_angle).then(|| value(row))).collect()
     };
     columns.texts("stage", rows.iter().map(|row| Some(&row.stage)));

@@ -83,15 +83,13 @@ fn of_array(array: &ArrayRef, name: &str) -> Result<Cells, Error> {
         DataType::UInt8 => whole::<UInt8Type>(array, i64::from),
         DataType::UInt16 => whole::<UInt16Type>(array, i64::from),
         DataType::UInt32 => whole::<UInt32Type>(array, i64::from),
-        DataType::UInt64 => {
-            Cells::Texts(Arc::new(array.as_primitive::<UInt64Type>().iter().map(|it| it.map(|it| it.to_string())).collect()))
-        }
+        DataType::UInt64 => Cells::Texts(Arc::new(
+            array.as_primitive::<UInt64Type>().iter().map(|it| it.map(|it| it.to_string())).collect(),
+        )),
         DataType::Utf8 => texts(array.as_string::<i32>().iter()),
         DataType::LargeUtf8 => texts(array.as_string::<i64>().iter()),
         DataType::Utf8View => texts(array.as_string_view().iter()),
-        DataType::Boolean => {
-            texts(array.as_boolean().iter().map(|it| it.map(|it| if it { "true" } else { "false" })))
-        }
+        DataType::Boolean => texts(array.as_boolean().iter().map(|it| it.map(|it| if it { "true" } else { "false" }))),
         DataType::Null => Cells::Texts(Arc::new(vec![None; array.len()])),
         DataType::Dictionary(..) => {
             let dictionary = array.as_any_dictionary();

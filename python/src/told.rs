@@ -32,7 +32,6 @@ pub fn listen() {
     let listener = tracing_subscriber::fmt()
         .with_writer(|| Kept)
         .with_max_level(tracing::Level::WARN)
-        .with_ansi(false)
         .without_time()
         .with_level(false)
         .with_target(false)

@@ -58,15 +58,16 @@ pub fn at_work<T: Send>(
         let mut failure = None;
         loop {
             let told = py.detach(|| receiver.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(INTERVAL));
-            let mut heard = py.check_signals();
-            match told {
-                Ok(Told::Done) | Err(RecvTimeoutError::Disconnected) => break,
-                Ok(Told::Event(text)) if failure.is_none() => heard = heard.and_then(|()| tell(&progress, &text)),
-                Ok(Told::Event(_)) | Err(RecvTimeoutError::Timeout) => {}
-            }
+            let heard = py.check_signals().and_then(|()| match &told {
+                Ok(Told::Event(text)) if failure.is_none() => tell(&progress, text),
+                _ => Ok(()),
+            });
             if let Err(error) = heard {
                 monitor.cancel();
                 failure.get_or_insert(error);
+            }
+            if matches!(told, Ok(Told::Done) | Err(RecvTimeoutError::Disconnected)) {
+                break;
             }
         }
         let result = py.detach(|| worker.join());

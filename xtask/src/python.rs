@@ -36,7 +36,18 @@ pub fn tests(features: &[&str]) -> Result<Found, String> {
     run_command(cargo(&[&["build", "--workspace", "--lib", "--locked"][..], features].concat()))?;
     let package = put_together().map_err(|error| format!("the Python package cannot be put together: {error}"))?;
     let mut pytest = python();
-    pytest.args(["-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", "-c", "python/pyproject.toml", "--rootdir", "."]);
+    pytest.args([
+        "-m",
+        "pytest",
+        "-q",
+        "-rs",
+        "-p",
+        "no:cacheprovider",
+        "-c",
+        "python/pyproject.toml",
+        "--rootdir",
+        ".",
+    ]);
     pytest.arg("python/tests").arg(&package).arg("docs/python.md").current_dir(root());
     println!("$ {pytest:?}");
     let output = pytest.stderr(Stdio::inherit()).output().map_err(|error| format!("pytest cannot be run: {error}"))?;
@@ -130,7 +141,8 @@ mod tests {
 
     #[test]
     fn what_pytest_says_is_counted() {
-        let text = "...s.F\nSKIPPED [1] python/tests/a.py:3: no polars\n2 failed, 54 passed, 1 skipped, 1 error in 6.7s\n";
+        let text =
+            "...s.F\nSKIPPED [1] python/tests/a.py:3: no polars\n2 failed, 54 passed, 1 skipped, 1 error in 6.7s\n";
         let skipped = vec!["python [1] python/tests/a.py:3: no polars".to_owned()];
         assert_eq!(found(text), Found { passed: 54, failed: 3, skipped });
         assert_eq!(found("61 passed in 20.11s (0:00:20)").passed, 61);

@@ -1,7 +1,8 @@
 use std::fs;
 use std::path::Path;
+use std::sync::Arc;
 
-use abbe_core::{Class, Context, DataRow, Dataset, Ingest, Values, path_text};
+use abbe_core::{Cells, Class, Context, DataRow, Dataset, Ingest, Table, TableColumn, Values, path_text};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -376,4 +377,31 @@ fn layouts_that_cannot_be_are_refused() {
         let error = read(files, &with(more.clone())).unwrap_err();
         assert!(error.contains(expected), "{more}: {error}");
     }
+}
+
+/// Settings do to a table of a program what they do to the file in whose place it stands, which nobody reads.
+#[test]
+fn a_table_stands_in_the_place_of_files() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("styli.csv"), "point,tip_um\na,5\nb,6\n").unwrap();
+    let settings = json!({ "path": "bar-1.csv", "constants": { "T_degC": 20 }, "join": { "table": "styli.csv", "on": "point" },
+        "columns": { "point": "p", "X_mm": { "column": "x", "unit": "um" } }, "no_data": [-1], "ignore": { "point": ["c"] },
+        "average": { "over": "file", "by": ["point"] } });
+    let points = ["a", "b", "a", "c", "b"];
+    let numbers = [1000.0, 2000.0, 3000.0, 7.0, -1.0];
+    let texts = Cells::Texts(Arc::new(points.map(|text| Some(text.to_owned())).into()));
+    let column = |name: &str, parts| TableColumn { name: name.to_owned(), parts };
+    let parts = [&numbers[..2], &numbers[2..]].map(|part| Cells::Numbers(Arc::new(part.to_vec()))).into();
+    let table = Table { columns: vec![column("p", vec![texts]), column("x", parts), column("other", Vec::new())] };
+    let given = |table| stage(folder.path(), &settings).unwrap().with_table(Arc::new(table)).unwrap();
+    assert!(given(table.clone()).read().unwrap_err().message.contains("`other` has 0 rows"));
+
+    let given = given(Table { columns: table.columns[..2].to_vec() });
+    let found = given.read().unwrap();
+    assert_eq!(given.inputs().iter().map(|input| input.setting).collect::<Vec<_>>(), ["join"]);
+    assert_eq!(given.headers().unwrap(), found.headers());
+    let file: String = points.iter().zip(numbers).map(|(point, number)| format!("{point},{number}\n")).collect();
+    fs::write(folder.path().join("bar-1.csv"), format!("p,x\n{file}")).unwrap();
+    assert_eq!(found, stage(folder.path(), &settings).unwrap().read().unwrap());
+    assert_eq!(found.rows(), 2);
 }
