@@ -1,7 +1,8 @@
 """Calibration of machine tools and coordinate measuring machines, with uncertainties.
 
-A recipe says what was measured, on which machine, and what is to be estimated. `abbe.run` runs one, from a file or a dict, on files or on
-tables in memory; `abbe.check` says before what it could determine. Results are those of the command line, to the last bit.
+A recipe says what was measured, on which machine, and what is to be estimated. `abbe.run` runs one, from a file or a
+dict, on files or on tables in memory; `abbe.check` says before what it could determine. Results are those of the
+command line, to the last bit.
 
 >>> import abbe
 >>> run = abbe.run("pipelines/first-steps.yaml")

@@ -73,19 +73,21 @@ def artefact(
 ) -> Callable[[Residuals], Artefact]:
     """Makes a function the artefact plugin `name`, which recipes name: `{"artefact": name, "from": ..., ...}`.
 
-    The function gets `tips` (rows x 3, table frame, mm), the `columns` of these rows by their names, in the units that these
-    say, the values of the artefact's own `unknowns` by name, and the `settings` of the stage. It gives the residuals, rows x
-    `equations`, in mm: the left side of an equation that is 0 for a perfect model. A row may depend on itself alone.
-    The setting `standard_uncertainty_um` of the stage is the standard uncertainty of every equation.
+    The function gets `tips` (rows x 3, table frame, mm), the `columns` of these rows by their names, in the units
+    that these say, the values of the artefact's own `unknowns` by name, and the `settings` of the stage. It gives the
+    residuals, rows x `equations`, in mm: the left side of an equation that is 0 for a perfect model. A row may depend
+    on itself alone. The setting `standard_uncertainty_um` of the stage is the standard uncertainty of every equation.
 
-    `unknowns` says their units (`mm`, `rad`), `columns` which columns there have to be. `nominal_tips` gives where the tips would be
-    without errors, for all rows of the columns: rank is judged there, else at the recorded poses.
+    `unknowns` says their units (`mm`, `rad`), `columns` which columns there have to be. `nominal_tips` gives where
+    the tips would be without errors, for all rows of the columns: rank is judged there, else at the recorded poses.
 
-    It is slow: Python computes the residuals, one thread at a time, and derivatives are differences: seven calls for each evaluation, two
-    more for each unknown. It serves to try an artefact; one that stays is a plugin in Rust, a hundred times as fast.
+    It is slow: Python computes the residuals, one thread at a time, and derivatives are differences: seven calls for
+    each evaluation, two more for each unknown. It serves to try an artefact; one that stays is a plugin in Rust, a
+    hundred times as fast.
 
     >>> import abbe, numpy as np
-    >>> places = {str(n): np.array([50.0 + 400 * (n & 1), 50.0 + 200 * (n & 2), 50.0 + 100 * (n & 4)]) for n in range(8)}
+    >>> corner = lambda n: np.array([50.0 + 400 * (n & 1), 50.0 + 200 * (n & 2), 50.0 + 100 * (n & 4)])
+    >>> places = {str(n): corner(n) for n in range(8)}
     >>> @abbe.artefact("points", equations=3, columns=["feature"])
     ... def points(tips, columns, unknowns, settings):
     ...     return tips - np.array([places[feature] for feature in columns["feature"]])

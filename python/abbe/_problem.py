@@ -78,7 +78,10 @@ class Problem:
         return Factor(self._problem.factor(_values(x)))
 
     def parts(self, count: int) -> list[Problem]:
-        """The problem in parts, each with its share of the rows. Rows that are correlated cannot be parted (`RecipeError`)."""
+        """The problem in parts, each with its share of the rows.
+
+        Rows that are correlated cannot be parted (`RecipeError`).
+        """
         return [Problem(part) for part in self._problem.parts(count)]
 
     def __repr__(self) -> str:

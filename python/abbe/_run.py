@@ -97,7 +97,8 @@ class Calibration:
 
     >>> import abbe
     >>> calibration = abbe.run("pipelines/first-steps.yaml").fits["fit"]
-    >>> there = calibration.predict({"X_mm": [0, 100], "Y_mm": [0, 0], "Z_mm": [0, 0], "B_deg": [0, 90], "C_deg": [0, 180]})
+    >>> poses = {"X_mm": [0, 100], "Y_mm": [0, 0], "Z_mm": [0, 0], "B_deg": [0, 90], "C_deg": [0, 180]}
+    >>> there = calibration.predict(poses)
     >>> list(there)[:3], list(there)[-3:]
     (['x_mm', 'y_mm', 'z_mm'], ['uncertainty_x_um', 'uncertainty_y_um', 'uncertainty_z_um'])
     >>> there.rows
@@ -139,9 +140,10 @@ class Calibration:
     def predict(self, poses: Any) -> Table:
         """Where the tip is at poses, and its error there.
 
-        `poses` has a column for the command of each axis (`X_mm`, `B_deg`) and for what else errors depend on (`dir_X`, `time_s`).
-        In the table frame: the tip (`x_mm`, `y_mm`, `z_mm`), the orientation of the tool (quaternion `qw`, `qx`, `qy`, `qz`), actual minus
-        nominal tip (`error_x_um`, ...) and its standard uncertainties (`uncertainty_x_um`, ...).
+        `poses` has a column for the command of each axis (`X_mm`, `B_deg`) and for what else errors depend on
+        (`dir_X`, `time_s`). In the table frame: the tip (`x_mm`, `y_mm`, `z_mm`), the orientation of the tool
+        (quaternion `qw`, `qx`, `qy`, `qz`), actual minus nominal tip (`error_x_um`, ...) and its standard
+        uncertainties (`uncertainty_x_um`, ...).
         """
         return Table(self._calibration.predict(poses))
 
@@ -160,9 +162,10 @@ class Calibration:
     ) -> Table:
         """Set-points with corrected commands, as `abbe compensate` gives them, and the errors before and after.
 
-        `correct` is "position", "five-axes" or a list of linear axes; `method` "exact" or "first-order"; `travel`, what happens where
-        a command would leave the travel of its axis, "refuse", "hold" or "allow". Directions of approach that the set-points do not
-        have are those of the path. A calibration with confounded parameters that would move the tool is refused (`DataError`).
+        `correct` is "position", "five-axes" or a list of linear axes; `method` "exact" or "first-order"; `travel`,
+        what happens where a command would leave the travel of its axis, "refuse", "hold" or "allow". Directions of
+        approach that the set-points do not have are those of the path. A calibration with confounded parameters that
+        would move the tool is refused (`DataError`).
         """
         settings = {
             "correct": correct if isinstance(correct, str) else list(correct),
@@ -208,7 +211,7 @@ class Fit(Calibration):
 
     @property
     def residuals(self) -> Table:
-        """The residual of every equation with its place, as in `<estimate>.residuals.csv`: residual_um or residual_urad, ..."""
+        """The residual of every equation with its place, as in `<estimate>.residuals.csv`."""
         return Table(self._outcome.residuals(self._name))
 
     @property
@@ -329,7 +332,8 @@ class Run:
         for stage, failure in self.failures.items():
             parts.append(f"<p><b>{html.escape(stage)}</b> failed: {html.escape(str(failure))}</p>")
         for verdict in self.verdicts.values():
-            parts.append(f"<p>{html.escape(verdict.stage)} ({html.escape(verdict.plugin)}): <b>{verdict.decision}</b></p>")
+            of = f"{html.escape(verdict.stage)} ({html.escape(verdict.plugin)})"
+            parts.append(f"<p>{of}: <b>{verdict.decision}</b></p>")
         parts.extend(f"<p>{html.escape(remark)}</p>" for remark in self.remarks)
         parts.extend(
             f"<details><summary>{html.escape(name)}</summary>{fit.parameters._repr_html_()}</details>"
@@ -369,14 +373,15 @@ def run(
 ) -> Run:
     """Runs a recipe and keeps the results in memory.
 
-    `recipe` is the path of a recipe, or what would stand in one as a dict; relative paths then start at the folder `base`.
-    `data` has tables for `ingest: csv` stages, by name, in the place of their files: tables of pandas, polars or pyarrow, structured
-    arrays of NumPy or dicts of arrays. Their columns have the names that they would have in a file, with units (`X_mm`, `B_deg`), and
-    all that the recipe says of rows and columns holds for them. `artefacts` are those in Python that the recipe names (`abbe.artefact`).
-    `progress` is called with events, in this thread: dicts with the key `event`. Ctrl-C ends the run, and `time_limit_s` does.
+    `recipe` is the path of a recipe, or what would stand in one as a dict; relative paths then start at the folder
+    `base`. `data` has tables for `ingest: csv` stages, by name, in the place of their files: tables of pandas, polars
+    or pyarrow, structured arrays of NumPy or dicts of arrays. Their columns have the names that they would have in a
+    file, with units (`X_mm`, `B_deg`), and all that the recipe says of rows and columns holds for them. `artefacts`
+    are those in Python that the recipe names (`abbe.artefact`). `progress` is called with events, in this thread:
+    dicts with the key `event`. Ctrl-C ends the run, and `time_limit_s` does.
 
-    Raises `RecipeError` for all that can be found without rows, `DataError` for what they show; stages that fail on the way are
-    `Run.failures`. What should be known is warned of (`AbbeWarning`).
+    Raises `RecipeError` for all that can be found without rows, `DataError` for what they show; stages that fail on
+    the way are `Run.failures`. What should be known is warned of (`AbbeWarning`).
     """
     path, text = _source(recipe, base)
     outcome = _abbe.run(path, text, dict(data or {}), list(artefacts), progress, time_limit_s)
@@ -391,7 +396,7 @@ def problems(
     base: str | os.PathLike[str] | None = None,
     artefacts: Sequence[Artefact] = (),
 ) -> dict[str, Problem]:
-    """The problems of the estimates of a recipe, by name, for estimators of one's own; nothing is solved. Arguments as in `run`."""
+    """The problems of the estimates of a recipe, by name, for estimators of one's own. Arguments as in `run`."""
     path, text = _source(recipe, base)
     found = _abbe.problems(path, text, dict(data or {}), list(artefacts))
     _warn()

@@ -17,8 +17,8 @@ Column = NDArray[Any]
 class Table(Mapping[str, Column]):
     """Columns by name: numbers as arrays of NumPy, texts as arrays of objects. Names carry units: `x_mm`, `error_x_um`.
 
-    `pandas.DataFrame(table)`, `polars.DataFrame(table)`, `pyarrow.table(table)` and `dict(table)` take it; the last three of
-    these libraries by Arrow's interface (`__arrow_c_stream__`), without a copy.
+    `pandas.DataFrame(table)`, `polars.DataFrame(table)`, `pyarrow.table(table)` and `dict(table)` take it; the last
+    three of these libraries by Arrow's interface (`__arrow_c_stream__`), without a copy.
 
     >>> import abbe
     >>> run = abbe.run("pipelines/first-steps.yaml")

@@ -1,5 +1,5 @@
-//! Artefacts that are written in Python: residuals by a function, derivatives by differences. Slow: the interpreter computes them,
-//! one thread at a time.
+//! Artefacts that are written in Python: residuals by a function, derivatives by differences. Slow: the interpreter
+//! computes them, one thread at a time.
 
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -1,4 +1,5 @@
-//! Tables that results are: columns of numbers and texts, which other libraries take by Arrow's interface without a copy.
+//! Tables that results are: columns of numbers and texts, which other libraries take by Arrow's interface without a
+//! copy.
 
 use std::sync::Arc;
 

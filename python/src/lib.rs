@@ -1,7 +1,7 @@
 //! The Python package `abbe`: the module `abbe._abbe`, on which the classes of `python/abbe` stand.
 //!
-//! Nothing is computed here: recipes are run by `abbe-engine`, and results are those of the command line. While work is done the lock
-//! of the interpreter is released.
+//! Nothing is computed here: recipes are run by `abbe-engine`, and results are those of the command line. While work
+//! is done the lock of the interpreter is released.
 
 mod artefact;
 mod calibration;

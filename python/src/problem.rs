@@ -1,4 +1,5 @@
-//! Problems for estimators of one's own: residuals, derivatives, and factors of parts that are combined to that of the whole.
+//! Problems for estimators of one's own: residuals, derivatives, and factors of parts that are combined to that of
+//! the whole.
 
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -1,4 +1,5 @@
-//! Tables that a user gives: by Arrow's interface (pandas, polars, pyarrow), as a structured array of NumPy, or as columns by name.
+//! Tables that a user gives: by Arrow's interface (pandas, polars, pyarrow), as a structured array of NumPy, or as
+//! columns by name.
 
 use std::sync::Arc;
 

@@ -30,7 +30,8 @@ impl Drop for AtEnd {
     }
 }
 
-/// Does work in a thread of its own, until it is done or the user ends it. `progress` is called with every event, in this thread.
+/// Does work in a thread of its own, until it is done or the user ends it. `progress` is called with every event, in
+/// this thread.
 pub fn at_work<T: Send>(
     py: Python<'_>,
     progress: Option<Bound<'_, PyAny>>,

@@ -1,7 +1,7 @@
 //! The Python package: it is put together from what is built, and its tests and doctests are run.
 //!
-//! The extension module is one more library of the workspace, built with what the other tests are built with: only its own code is
-//! compiled for it. `pip install ./python` builds it by maturin, with the release profile.
+//! The extension module is one more library of the workspace, built with what the other tests are built with: only
+//! its own code is compiled for it. `pip install ./python` builds it by maturin, with the release profile.
 
 use std::fs;
 use std::path::{Path, PathBuf};
