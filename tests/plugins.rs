@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use abbe_core::{Build, Context, PathItem};
+use abbe_core::{Build, Context, PathItem, SettingsError};
 use serde_json::{Value, json};
 
 use crate::support::{abbe, json_file, read, recipes, registry, root, temporary, tree, write};
@@ -33,7 +33,9 @@ fn every_plugin_can_be_built_from_its_example() {
             Build::Validate(constructor) => constructor.build(settings, &context).map(drop),
             Build::Export(constructor) => constructor.build(settings, &context).map(drop),
         };
-        assert!(built.is_ok(), "{what}: {:?}", built.err());
+        // A program without the libraries of a format says so (`--features parquet`).
+        let is_built = |error: &SettingsError| !error.message.contains("was built without");
+        assert!(built.as_ref().err().is_none_or(|error| !is_built(error)), "{what}: {:?}", built.err());
         count += 1;
     }
     assert!(count > 0, "no plugin is linked");

@@ -182,6 +182,17 @@ fn calibrations_that_do_not_belong_are_refused() {
     let other = abbe(folder.path(), &["correct", "out/hole/other.calibration.json", "near.csv", "--max-age-days", "1"]);
     assert_eq!(other.status, 1);
     assert!(said(&other).contains("is not of the run that wrote this file as it is now"), "{}", other.stderr);
+    // The result of the run itself, changed by hand.
+    let at = folder.path().join(file);
+    let text = fs::read_to_string(&at).expect("a calibration");
+    let place = text.find("\"value\": ").expect("a value") + "\"value\": ".len();
+    let end = place + text[place..].find(',').expect("a comma");
+    fs::write(&at, format!("{}0.01{}", &text[..place], &text[end..])).expect("a file");
+    for command in [["correct", file, "near.csv"], ["compensate", file, "near.csv"]] {
+        let changed = abbe(folder.path(), &command);
+        assert_eq!(changed.status, 1, "{command:?}");
+        assert!(said(&changed).contains("not as the run wrote it"), "{command:?}: {}", changed.stderr);
+    }
 }
 
 /// Directions as tables of other programs write them; then positions without the columns of their directions, where X has backlash.

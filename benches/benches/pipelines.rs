@@ -7,8 +7,9 @@ use std::time::Duration;
 
 use abbe_bundle as _;
 use abbe_compensation::{Compensator, Correct, Settings};
-use abbe_core::{Build, Context, Error, Fit, Problem, Registry, StatusRole, machine_values};
-use abbe_engine::prepare;
+use abbe_controllers::{Dialect, Machine, Options, compensate};
+use abbe_core::{Build, Calibration, Context, Error, Fit, Problem, Registry, StatusRole, machine_values};
+use abbe_engine::{model_of, prepare};
 use abbe_plugin::{Library, Limits};
 use abbe_thermal::{Hold, Output, Reference, SensorLog, Structure};
 use criterion::{Criterion, criterion_group, criterion_main};
@@ -147,6 +148,49 @@ fn set_points(criterion: &mut Criterion) {
     });
 }
 
+/// Corrected programs: ten thousand blocks that stay whole, for a machine with three axes and one with five.
+fn programs(criterion: &mut Criterion) {
+    const COUNT: u32 = 10_000;
+    let file = |name: &str| Path::new(env!("CARGO_MANIFEST_DIR")).join("calibrations").join(name);
+    for (name, correct) in [("three-axis", Correct::Position), ("table-table", Correct::FiveAxes)] {
+        let text = std::fs::read_to_string(file(&format!("{name}.calibration.json")));
+        let text = text.unwrap_or_else(|error| panic!("{name}: {error}"));
+        let calibration = Calibration::from_json(&text).unwrap_or_else(|error| panic!("{error}"));
+        let registry = Registry::built_in().unwrap_or_else(|error| panic!("{error}"));
+        let model = model_of(&calibration, &registry).unwrap_or_else(|error| panic!("{error}"));
+        let values = machine_values(model.as_ref(), &calibration);
+        let turns = if correct == Correct::FiveAxes { " A-20 C-30" } else { "" };
+        let mut program = format!("G21 G90 G17 G94 G54\nG0 X-90 Y-90 Z10{turns}\nG1 F1000\n");
+        for block in 0..COUNT {
+            let part = f64::from(block) / f64::from(COUNT);
+            let turns = match correct {
+                Correct::FiveAxes => {
+                    format!(" A{:.4} C{:.4}", 10.0f64.mul_add(part, -20.0), 20.0f64.mul_add(part, -30.0))
+                }
+                _ => String::new(),
+            };
+            program.push_str(&format!(
+                "X{:.4} Y{:.4} Z{:.4}{turns}\n",
+                180.0f64.mul_add(part, -90.0),
+                150.0f64.mul_add(part, -90.0),
+                30.0f64.mul_add(part, 10.0)
+            ));
+        }
+        program.push_str("M2\n");
+        let settings = Settings { correct, ..Settings::default() };
+        let build = |length: Option<f64>| {
+            Machine::new(model.clone(), values.clone(), settings.clone(), length.unwrap_or(100.0), None)
+        };
+        let options = Options { start: [Some(0.0); 9], ..Options::new(Dialect::Linuxcnc) };
+        criterion.bench_function(&format!("program_blocks_10000_{}", name.replace('-', "_")), |bencher| {
+            bencher.iter(|| {
+                let summary = compensate(&mut black_box(program.as_bytes()), &mut std::io::sink(), &build, &options);
+                summary.unwrap_or_else(|error| panic!("{error}")).blocks
+            })
+        });
+    }
+}
+
 /// Builds packages in the profile of the benchmarks; returns the folder of the built files.
 fn built(packages: &[&str]) -> PathBuf {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
@@ -196,6 +240,6 @@ fn border(criterion: &mut Criterion) {
 criterion_group! {
     name = benches;
     config = Criterion::default().sample_size(20).warm_up_time(Duration::from_secs(1)).without_plots();
-    targets = qr, product, tango, cmm, mill, thermal, set_points, border
+    targets = qr, product, tango, cmm, mill, thermal, set_points, programs, border
 }
 criterion_main!(benches);

@@ -12,7 +12,7 @@ use std::process::Command;
 use abbe_core::{Build, Context, Poses, Variable};
 use serde_json::{Value, json};
 
-use super::{bad, lengths, limits, three_axes};
+use super::{bad, c_library, lengths, limits, three_axes};
 use crate::support::{Variant, program, read, root, skipped, temporary, write};
 
 /// How the program ended.
@@ -117,6 +117,10 @@ fn what_never_ends_is_ended() {
     let loops = bad(folder.path(), "loops", &["-DLIBRARY_LOOPS"]);
     let error = abbe_plugin::isolated(&loops, None, &limits(2.0)).err().expect("its constructor never ends");
     assert!(error.message.contains("gave no answer within 2 s"), "{error}");
+    // In the program nothing ends it but somebody else: `timeout` has the status 124 then.
+    let bare = program(folder.path(), &["plugins", "--trust-plugins", "--plugin", &loops.to_string_lossy()]);
+    let waited = Command::new("timeout").arg("2").arg(bare.get_program()).args(bare.get_args()).output();
+    assert_eq!(waited.expect("`timeout` starts").status.code(), Some(124));
 }
 
 /// Every answer of 0.4 s is in time; all together take too long.
@@ -230,6 +234,40 @@ fn wrong_counts_are_refused() {
     }
 }
 
+/// An isolated estimator that writes questions of its own on its connection is told what is wrong with them; nothing of it reaches the
+/// code of machines and observations.
+#[test]
+fn forged_questions_are_refused() {
+    for (mode, expected) in [
+        ("good", "\"Numbers\":{\"lengths\":[3,0,3,0]}"),
+        ("statuses", "gave statuses or values of another machine"),
+        ("values", "gave statuses or values of another machine"),
+        ("wanted", "wants a derivative to Parameter(1000000000), which is not there"),
+        ("room", "asks for more derivatives than a message has room for"),
+        ("rows", "asked for rows that are not there, or with other poses"),
+        ("positions", "asked for rows that are not there, or with other poses"),
+        ("contact", "asked for the contact of a row that is not there"),
+        ("nobody", "names the object 77, which is not there"),
+        ("answer", "broke the connection"),
+    ] {
+        let folder = temporary();
+        lengths(folder.path());
+        let asks = c_library(folder.path(), "tests/bad-plugins/asks.c", "asks", &[]);
+        let mut recipe = three_axes(json!({ "model": "bad-model", "mode": "good" }));
+        recipe["stages"]["fit"] = json!({ "estimate": "asks", "mode": mode, "machine": "machine", "observations": ["bar"],
+            "parameters": ["E*[1]"] });
+        recipe["plugins"] = json!([
+            { "path": bad(folder.path(), "bad", &[]), "isolate": false },
+            { "path": asks, "isolate": true, "time_limit_s": 10.0 },
+        ]);
+        Variant(recipe).write(folder.path());
+        let ended = ended(folder.path(), &["run", "recipe.yaml", "--out", "out", "--json"]);
+        let said = ended.stdout.replace("\\\"", "\"").replace("\\\"", "\"").replace('\\', "") + &ended.said;
+        assert_eq!(ended.status, Some(1), "{mode}: {said}");
+        assert!(said.contains(expected) && !said.contains("panicked"), "{mode}: {said}");
+    }
+}
+
 /// What runs is what was hashed, whatever becomes of the file.
 #[test]
 fn a_library_that_is_overwritten_runs_as_it_was_hashed() {
@@ -299,6 +337,7 @@ fn every_attack_of_the_page_has_a_test() {
         "round",
         "counts",
         "replaced",
+        "forges",
     ];
     for attack in attacks {
         let is_there = |row: &&str| row.split('|').nth(1).is_some_and(|what| what.contains(attack));

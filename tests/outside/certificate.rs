@@ -6,7 +6,7 @@ use crate::support::{Variant, recipes, root, skipped, temporary, write};
 
 /// Prints what is wrong with a certificate; nothing if all is well. The version is known to be older than the newest one, and values of
 /// several units in one list are a recommendation. `1` is a folder with the schemas `dcc.xsd` (3.2.1), `SI_Format.xsd` (2.1) and `xmldsig.xsd`,
-/// of which nothing is fetched; `-` is none.
+/// of which nothing is fetched; `-` is none. Its folder `3.3` has those of DCC 3.3.0 with D-SI 2.2.
 const CHECK: &str = r#"
 import sys
 from lxml import etree
@@ -39,21 +39,37 @@ fn certificates_are_what_the_ptb_expects() {
         );
         "-".to_owned()
     });
-    let outcome = Variant::of(&recipes()["cylinder-uncertainty"]).only(&["fit-both", "certificate"]).run();
+    for (version, schemas) in [("3.2.1", schemas.clone()), ("3.3", format!("{schemas}/3.3"))] {
+        let has_schema = std::path::Path::new(&schemas).join("dcc.xsd").is_file();
+        if !has_schema && schemas != "-/3.3" && schemas != "-" {
+            skipped("the schema of certificates", &format!("{schemas} has no dcc.xsd"));
+        }
+        check(version, if has_schema { &schemas } else { "-" });
+    }
+}
+
+/// A certificate of this version is valid, and mistakes in it are found.
+fn check(version: &str, schemas: &str) {
+    let outcome = Variant::of(&recipes()["cylinder-uncertainty"])
+        .only(&["fit-both", "certificate"])
+        .set("certificate", "version", version.into())
+        .run();
     let (_, files) = outcome.exports.iter().find(|(stage, _)| stage == "certificate").expect("the certificate");
     let folder = temporary();
     let check = |text: &str| {
         let file = folder.path().join("certificate.xml");
         write(&file, text);
-        let found = Command::new("python3").args(["-c", CHECK]).arg(&file).arg(&schemas).current_dir(root()).output();
+        let found = Command::new("python3").args(["-c", CHECK]).arg(&file).arg(schemas).current_dir(root()).output();
         let found = found.expect("Python");
         assert!(found.status.success(), "{}", String::from_utf8_lossy(&found.stderr));
         String::from_utf8_lossy(&found.stdout).into_owned()
     };
     let text = String::from_utf8_lossy(&files[0].content).into_owned();
-    assert_eq!(check(&text), "");
+    assert_eq!(check(&text), "", "{version}");
     // A value that is missing, and days in the wrong order, are found.
-    assert_ne!(check(&text.replacen("<si:uncertaintyXMLList>", "<si:uncertaintyXMLList>1e-6 ", 1)), "");
+    let list = if version == "3.3" { "<si:valueExpandedMUXMLList>" } else { "<si:uncertaintyXMLList>" };
+    assert!(text.contains(list), "{text}");
+    assert_ne!(check(&text.replacen(list, &format!("{list}1e-6 "), 1)), "");
     let end = "<dcc:endPerformanceDate>2016-06-14";
     assert!(text.contains(end), "{text}");
     assert_ne!(check(&text.replacen(end, "<dcc:endPerformanceDate>1999-01-01", 1)), "");

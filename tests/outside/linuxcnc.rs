@@ -651,3 +651,101 @@ fn the_temperature_component_runs_in_hal() {
     assert!((counts * 1e-4 - offset).abs() < 0.6e-4, "{counts} {offset}");
     assert!(told.contains("FALSE"), "{told}");
 }
+
+/// A corrected program on the plain control does what the program does on the control that corrects by itself: at every rest the motors
+/// stand where that control puts them, and all the way the tool is on the path of the program.
+#[test]
+fn corrected_programs_do_on_the_plain_control_what_the_corrected_control_does() {
+    if let Some(reason) = missing() {
+        return skipped("linuxcnc_programs", &reason);
+    }
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    // Without backlash the whole path can be compared: a reversal is taken up in no time by one, in a block of its own by the other.
+    let mut without_backlash = calibration("three-axis");
+    for parameter in without_backlash["parameters"].as_array_mut().expect("parameters") {
+        if parameter["name"].as_str().expect("a name").ends_with("[b]") {
+            parameter["value"] = json!(0.0);
+        }
+    }
+    let machine = Machine::of(&without_backlash);
+    let mut options = abbe_controllers::Options::new(abbe_controllers::Dialect::Linuxcnc);
+    (options.decimals, options.start) = (6, [Some(0.0); 9]);
+    let tolerance = options.tolerance;
+    let program = THREE_AXES.replace("X10 Y10 Z10\n", "X10 Y10 Z10 F20000\n");
+    let corrected = |sign| crate::programs::corrected(&machine, &program, &options, sign).expect("a program").0;
+    let (done, wrong) = (corrected(1.0), corrected(-1.0));
+
+    // The control that corrects by itself.
+    let folder = temporary();
+    let component = "abbe_test_programs";
+    let settings = json!({ "component": component, "form": "model", "correction": { "correct": "position" } });
+    let export = exporter("linuxcnc-kinematics", &settings);
+    let files = export.export(&machine.calibration, machine.model.as_ref()).unwrap_or_else(|error| panic!("{error}"));
+    put(folder.path(), &files);
+    let installed = Installed::new(folder.path(), component);
+    let known = run(folder.path(), &machine, component, &BTreeMap::new(), &program);
+    drop(installed);
+    let on_plain = |program: &str| {
+        let folder = temporary();
+        run(folder.path(), &machine, "trivkins coordinates=XYZ", &BTreeMap::new(), program)
+    };
+    let plain = on_plain(&done);
+
+    let coordinated =
+        |cycles: &[Cycle]| -> Vec<Cycle> { cycles.iter().skip_while(|cycle| !cycle.is_coordinated).cloned().collect() };
+    let (known, plain) = (coordinated(&known), coordinated(&plain));
+    let [of_known, of_plain] = [&known, &plain].map(|cycles| at_rest(cycles));
+    assert!(of_known.len() >= 3 && of_known.len() == of_plain.len(), "{} {}", of_known.len(), of_plain.len());
+    let resting = largest(of_known.iter().zip(&of_plain).map(|((one, _), (other, _))| (&one.motors, &other.motors)));
+    let none = vec![0.0; 3];
+    let tips = |commands: Vec<&[f64]>, errors: bool| {
+        let rows: Vec<(&[f64], &[f64])> = commands.into_iter().map(|commands| (commands, &none[..])).collect();
+        machine.tips(&statuses(&machine, &rows), errors)
+    };
+    // From the first rest on: before it the program moves from where nobody has corrected.
+    let after =
+        |cycles: &[Cycle], rest: &Cycle| cycles.iter().skip_while(|cycle| *cycle != rest).cloned().collect::<Vec<_>>();
+    let (of_program, of_tool) = (after(&known, &of_known[0].0), after(&plain, &of_plain[0].0));
+    // The path as an interpreter that shares no code with the corrector has it.
+    let blocks = crate::programs::interpreter::Control::new(&machine).run(&program);
+    let positions = blocks[1..].iter().flat_map(|block| &block.path);
+    let programmed: Vec<Vec<f64>> = positions.map(|at| ["X", "Y", "Z"].map(|axis| at[axis]).to_vec()).collect();
+    let path = tips(programmed.iter().map(|at| &at[..]).collect(), false);
+    let off = off_path(&tips(of_tool.iter().map(|cycle| &cycle.kinematics[..]).collect(), true), &path);
+    let before = off_path(&tips(of_program.iter().map(|cycle| &cycle.axes[..]).collect(), true), &path);
+    println!(
+        "linuxcnc corrected programs: {} and {} cycles, motors at {} rests within {resting:.1e}, tool within {off:.1e} of the path, \
+         {before:.1e} mm before",
+        plain.len(),
+        known.len(),
+        of_plain.len()
+    );
+    assert!(resting < tolerance, "{resting} mm");
+    assert!(off < 1.1 * tolerance && before > 10.0 * tolerance, "{off} mm, {before} mm before");
+    // The negative correction is told apart by the same test; where its rests are follows from its text.
+    let ends: Vec<&str> = wrong.lines().filter(|line| line.contains('X')).collect();
+    let of_sign =
+        ends.iter().zip(done.lines().filter(|line| line.contains('X'))).filter(|(one, other)| **one != *other).count();
+    assert!(of_sign > 5, "{wrong}");
+    let opposite: Vec<Vec<f64>> = of_plain
+        .iter()
+        .zip(&of_known)
+        .map(|((cycle, _), (asked, _))| {
+            cycle.motors.iter().zip(&asked.axes).map(|(motor, axis)| 2.0 * axis - motor).collect()
+        })
+        .collect();
+    let off = apart(
+        &tips(opposite.iter().map(|motors| &motors[..]).collect(), true),
+        &tips(of_known.iter().map(|(cycle, _)| &cycle.axes[..]).collect(), false),
+    );
+    assert!(off > 10.0 * tolerance, "{off}");
+}
+
+/// Largest distance of points from a path.
+fn off_path(points: &[[f64; 3]], path: &[[f64; 3]]) -> f64 {
+    let of = |point: &[f64; 3]| {
+        let off = path.windows(2).map(|step| crate::programs::from_segment(*point, step[0], step[1]));
+        off.fold(f64::INFINITY, f64::min)
+    };
+    points.iter().step_by(5).map(of).fold(0.0, f64::max)
+}

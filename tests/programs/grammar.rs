@@ -1,5 +1,7 @@
 //! Random programs in the manner of each control: lines and arcs in three planes, helices, relative blocks, inches, inverse time.
 
+mod klartext;
+
 use std::f64::consts::{PI, TAU};
 use std::fmt::Write as _;
 
@@ -42,6 +44,10 @@ pub fn program(wanted: Wanted, seed: u64) -> String {
         number: 0,
         wanted,
     };
+    if writer.wanted.dialect == Dialect::Heidenhain {
+        klartext::write(&mut writer);
+        return writer.text;
+    }
     writer.head();
     for _ in 0..writer.wanted.blocks {
         writer.something();

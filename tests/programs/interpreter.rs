@@ -1,6 +1,8 @@
 //! A reading of programs that shares nothing with the corrector: what the axes of a machine do, in small steps. It knows the codes that
 //! corrected programs have and panics at all others.
 
+mod klartext;
+
 use std::collections::BTreeMap;
 
 use abbe_core::{AxisKind, Poses, StatusRole};
@@ -19,6 +21,8 @@ pub struct Block {
     pub is_arc: bool,
     /// Whether the tip is programmed.
     pub is_tip: bool,
+    /// Whether its numbers are positions of the machine (G53), which nobody corrects.
+    pub is_machine: bool,
 }
 
 /// Steps of a path: mm, degrees, and the sagitta of arcs in mm.
@@ -193,7 +197,7 @@ impl<'a> Control<'a> {
                 }
                 ("TRAFOOF", _) => self.end_tip(),
                 ("D", code) => self.offset = if code == 0 { 0.0 } else { self.length },
-                ("G", 40 | 400 | 800 | 640 | 980 | 990 | 970) => {}
+                ("G", 40 | 400 | 800 | 610 | 611 | 640 | 980 | 990 | 970) => {}
                 (
                     "CFTCP" | "IA" | "JA" | "KA" | "N" | "F" | "S" | "T" | "M" | "H" | "X" | "Y" | "Z" | "A" | "B"
                     | "C" | "I" | "J" | "K" | "R" | "CR" | "L" | "P" | "",
@@ -234,7 +238,15 @@ impl<'a> Control<'a> {
         let path = if is_arc { self.arc(&from, &to, words) } else { straight(&from, &to) };
         let path = if self.tip { path.iter().map(|at| self.axes_of(at)).collect() } else { path };
         let inverse_feed = (self.inverse && self.motion > 0).then(|| value("F").expect("every block has its F"));
-        Some(Block { line, is_rapid: self.motion == 0, path, inverse_feed, is_arc, is_tip: self.tip })
+        Some(Block {
+            line,
+            is_rapid: self.motion == 0,
+            path,
+            inverse_feed,
+            is_arc,
+            is_tip: self.tip,
+            is_machine: machine_coordinates,
+        })
     }
 
     fn begin_tip(&mut self) {
@@ -342,6 +354,16 @@ fn straight(from: &ByAxis, to: &ByAxis) -> Vec<ByAxis> {
 
 /// Tips in the table frame at positions with directions (+1 where none is said).
 pub fn tips(machine: &Machine, points: &[(ByAxis, ByAxis)], with_errors: bool) -> Vec<[f64; 3]> {
+    tips_with(machine, points, with_errors, &[])
+}
+
+/// The same with other statuses, by their names.
+pub fn tips_with(
+    machine: &Machine,
+    points: &[(ByAxis, ByAxis)],
+    with_errors: bool,
+    others: &[(&str, f64)],
+) -> Vec<[f64; 3]> {
     let info = machine.model.info();
     let mut statuses = Vec::new();
     for (at, directions) in points {
@@ -354,6 +376,10 @@ pub fn tips(machine: &Machine, points: &[(ByAxis, ByAxis)], with_errors: bool) -
             if let StatusRole::Direction(axis) = column.role {
                 status[index] = directions.get(&info.axes[axis].name).copied().unwrap_or(1.0);
             }
+        }
+        for (name, value) in others {
+            let index = info.status.iter().position(|column| column.name == *name).expect("a status");
+            status[index] = *value;
         }
         statuses.extend(status);
     }

@@ -18,7 +18,7 @@ const fn border(name: &'static str, uses: &'static [&'static str]) -> Border {
 }
 
 /// The folder `crates`: arrows point one way, see docs/architecture.md.
-const CRATES: [Border; 28] = [
+const CRATES: [Border; 30] = [
     border("abbe-settings", &[]),
     border("abbe-files", &[]),
     border("abbe-results", &["abbe-settings"]),
@@ -29,6 +29,8 @@ const CRATES: [Border; 28] = [
     border("abbe-kinematics", &["abbe-core"]),
     border("abbe-standards", &["abbe-geometry", "abbe-results"]),
     border("abbe-table", &["abbe-core", "abbe-files"]),
+    border("abbe-assembly", &["abbe-core", "abbe-estimation", "abbe-files", "abbe-table"]),
+    border("abbe-dcc", &["abbe-core", "abbe-files"]),
     border("abbe-thermal", &["abbe-core", "abbe-numerics"]),
     border("abbe-probe", &["abbe-core", "abbe-table"]),
     Border {
@@ -70,7 +72,10 @@ const CRATES: [Border; 28] = [
             "abbe-table",
         ],
     ),
-    border("abbe-report", &["abbe-core", "abbe-engine", "abbe-files", "abbe-probe", "abbe-trend", "abbe-volumetric"]),
+    border(
+        "abbe-report",
+        &["abbe-core", "abbe-engine", "abbe-estimation", "abbe-files", "abbe-probe", "abbe-trend", "abbe-volumetric"],
+    ),
     border(
         "abbe",
         &[
@@ -99,9 +104,11 @@ const CRATES: [Border; 28] = [
 const ABOVE_ALL: [&str; 5] = ["abbe-benches", "abbe-campaigns", "abbe-examples", "abbe-python", "abbe-tests"];
 
 /// The crates that plugins may use.
-const FOR_PLUGINS: [&str; 16] = [
+const FOR_PLUGINS: [&str; 18] = [
+    "abbe-assembly",
     "abbe-compensation",
     "abbe-core",
+    "abbe-dcc",
     "abbe-errors",
     "abbe-estimation",
     "abbe-files",

@@ -10,8 +10,9 @@ use crate::{Outcome, borders, cargo, header, linuxcnc, python, root, run as run_
 /// Tests that need another program stand in a module of this name.
 const OUTSIDE: &str = "outside::";
 
-/// What the tests are built with besides the default: histories on a server, which the second part tries on a real one.
-pub const FEATURES: [&str; 2] = ["--features", "abbe-tests/postgres"];
+/// What the tests are built with besides the default: histories on a server, which the second part tries on a real one, and tables
+/// in Parquet and Arrow, which it exchanges with another implementation. One list, so that nothing is built twice.
+pub const FEATURES: [&str; 2] = ["--features", "abbe-tests/postgres,abbe-tests/parquet"];
 
 /// What a test prints before its name and the reason why it was skipped.
 const SKIPPED: &str = "SKIPPED: ";

@@ -8,7 +8,8 @@
 //! - `cargo xtask campaign machines|compensation|tango|bad-inputs|signals|hostile|sizes COUNT SEED`: run a campaign over many random
 //!   cases (`tests/campaigns`).
 //! - `cargo xtask fuzz --executions COUNT --seed SEED [TARGET]`: COUNT inputs for every reader of bytes, or for one, built with the
-//!   checks of debug builds (`tests/campaigns/src/fuzz.rs`; `tests/fuzz` has the same targets for cargo-fuzz).
+//!   checks of debug builds (`tests/campaigns/src/fuzz.rs`; `tests/fuzz` has the same targets for cargo-fuzz). With `--release` first it
+//!   is optimised and has these checks, too.
 //! - `cargo xtask mutate --runs COUNT --seed SEED`: recipes and their data with random mistakes: `campaign bad-inputs`, built with the
 //!   checks of debug builds.
 //! - `cargo xtask header`: write the C header of the plugin interface.
@@ -60,9 +61,12 @@ fn main() -> ExitCode {
             run(tests)
         }
         ["fuzz", "--executions", count, "--seed", seed, targets @ ..] if targets.len() < 2 => {
-            let mut campaign = cargo(&["run", "--locked", "--package", "abbe-campaigns", "--", "fuzz", count, seed]);
-            campaign.args(targets);
-            run(campaign)
+            fuzz(&[], count, seed, targets)
+        }
+        // As fast as a release build, with the checks of debug builds.
+        ["fuzz", "--release", "--executions", count, "--seed", seed, targets @ ..] if targets.len() < 2 => {
+            let checks = ["overflow-checks", "debug-assertions"].map(|check| format!("profile.release.{check}=true"));
+            fuzz(&["--release", "--config", &checks[0], "--config", &checks[1]], count, seed, targets)
         }
         ["campaign", name, count, seed] => {
             run(cargo(&["run", "--release", "--locked", "--package", "abbe-campaigns", "--", name, count, seed]))
@@ -72,7 +76,7 @@ fn main() -> ExitCode {
         ["linuxcnc", "--create-user"] => linuxcnc::run(true),
         ["python"] => python::run(),
         ["schema"] => schema(),
-        _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign NAME COUNT SEED | fuzz --executions COUNT --seed SEED [TARGET] | mutate --runs COUNT --seed SEED | header | linuxcnc [--create-user] \
+        _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign NAME COUNT SEED | fuzz [--release] --executions COUNT --seed SEED [TARGET] | mutate --runs COUNT --seed SEED | header | linuxcnc [--create-user] \
                      | python | schema\ncampaigns: controls, machines, compensation, tango, bad-inputs, signals, hostile, sizes; \
                      coverage COUNT; faults all"
             .to_owned()),
@@ -103,6 +107,13 @@ fn run(mut command: Command) -> Outcome {
         Ok(status) => Err(format!("{command:?} ended with {status}")),
         Err(error) => Err(format!("{command:?} cannot be run: {error}")),
     }
+}
+
+/// Inputs that nobody meant, in a program that is built with these options.
+fn fuzz(build: &[&str], count: &str, seed: &str, targets: &[&str]) -> Outcome {
+    let mut campaign = cargo(&["run", "--locked", "--package", "abbe-campaigns", "--features", "parquet"]);
+    campaign.args(build).args(["--", "fuzz", count, seed]).args(targets);
+    run(campaign)
 }
 
 /// The benchmark that tells how fast the machine is.

@@ -12,6 +12,9 @@ const CHUNK: usize = 128;
 /// Most passes of Newton's method. Errors of machines need two or three, more where the bound on rotary corrections is reached.
 const PASSES: usize = 20;
 
+/// From this pass on derivatives are computed anew: those of the start do not lead there.
+const RENEWED: usize = 4;
+
 /// Steps, mm and rad, below which a pass is the last one.
 const SETTLED: f64 = 1e-10;
 
@@ -74,6 +77,11 @@ enum State {
 impl State {
     fn is_settled(&self) -> bool {
         *self == Self::Settled
+    }
+
+    /// Whether nothing is left to correct. Where axes are nearly parallel, or near a pole, steps stay larger than that.
+    fn is_there(&self, lacks: &Deviation) -> bool {
+        lacks.distance() < THERE && (*self == Self::Standing || lacks.angle() < THERE)
     }
 }
 
@@ -139,10 +147,11 @@ impl<'a> Compensator<'a> {
 
     fn corrected(&self, programmed: &[f64]) -> Result<(Vec<f64>, Vec<Correction>)> {
         let nominal = &self.model.info().without_errors();
-        let (mut goal, mut now) = (Poses::default(), Poses::default());
+        let (mut goal, mut slopes) = (Poses::default(), Poses::default());
         let of_nominal: &[Variable] = if self.settings.method == Method::FirstOrder { &self.wanted } else { &[] };
         self.poses(programmed, nominal, of_nominal, &mut goal)?;
-        self.poses(programmed, self.values, &self.wanted, &mut now)?;
+        self.poses(programmed, self.values, &self.wanted, &mut slopes)?;
+        let mut now = without_derivatives(&slopes);
         let count = goal.positions.len();
         let mut points: Vec<Correction> = (0..count)
             .map(|point| Correction { before: deviation(&now, &goal, point), ..Correction::default() })
@@ -164,20 +173,32 @@ impl<'a> Compensator<'a> {
         };
         let mut states = vec![start; count];
         for pass in 1..=PASSES {
-            let derivatives = if self.settings.method == Method::FirstOrder { &goal } else { &now };
+            let derivatives = if self.settings.method == Method::FirstOrder { &goal } else { &slopes };
+            let mut has_moved = false;
             for (point, status) in statuses.chunks_mut(width).enumerate() {
-                if states[point].is_settled() {
+                let lacks = deviation(&now, &goal, point);
+                if states[point].is_settled() || self.rotary.is_empty() && states[point].is_there(&lacks) {
+                    states[point] = State::Settled;
                     continue;
                 }
-                let lacks = deviation(&now, &goal, point);
+                has_moved = true;
                 let place = &programmed[point * width..(point + 1) * width];
                 self.step(&lacks, (derivatives, point), (status, place), (&mut states[point], &mut points[point]));
                 points[point].passes = pass;
             }
-            // Nothing follows from the derivatives of the last pass.
+            if !has_moved {
+                break;
+            }
             let is_last = self.settings.method == Method::FirstOrder || states.iter().all(State::is_settled);
-            let wanted: &[Variable] = if is_last { &[] } else { &self.wanted };
-            self.poses(&statuses, self.values, wanted, &mut now)?;
+            // Where rotary axes stand, the derivatives of the first pass serve the next ones as well: errors change little over their
+            // own size.
+            let is_turning = states.iter().any(|state| matches!(state, State::Turning { .. }));
+            if is_last || pass < RENEWED && !is_turning {
+                self.poses(&statuses, self.values, &[], &mut now)?;
+            } else {
+                self.poses(&statuses, self.values, &self.wanted, &mut slopes)?;
+                now = without_derivatives(&slopes);
+            }
             if is_last {
                 break;
             }
@@ -262,9 +283,7 @@ impl<'a> Compensator<'a> {
                 correction.held.push(axis);
             }
         }
-        // Where axes are nearly parallel, or near a pole, steps stay larger than what they are to correct.
-        let is_there = lacks.distance() < THERE && (*state == State::Standing || lacks.angle() < THERE);
-        if largest < SETTLED || is_there {
+        if largest < SETTLED || state.is_there(lacks) {
             *state = State::Settled;
         }
     }
@@ -383,6 +402,12 @@ pub(crate) fn beyond(axis: &Axis, status: &[f64]) -> Option<String> {
     };
     let [command, from, to] = [command, from, to].map(|value| value * factor);
     Some(format!("{} stands at {command:.6} {unit}, beyond its travel of {from} to {to} {unit}", axis.name))
+}
+
+/// Poses alone.
+fn without_derivatives(poses: &Poses) -> Poses {
+    let (positions, orientations) = (poses.positions.clone(), poses.orientations.clone());
+    Poses { positions, orientations, ..Poses::default() }
 }
 
 /// The tool axis of a pose, table frame.

@@ -32,6 +32,13 @@ pub(crate) struct Move {
     pub(crate) line: Line,
 }
 
+impl Move {
+    /// Whether it is an arc in rapid traverse, which holds its path all the same.
+    pub(crate) fn is_fast_arc(&self) -> bool {
+        self.path.arc.is_some() && self.line.words.iter().any(|word| word.name == "FMAX")
+    }
+}
+
 /// What becomes of a line.
 pub(crate) enum Action {
     /// It is copied. The motion that it makes modal, if it does.
@@ -45,14 +52,14 @@ pub(crate) enum Action {
 /// Understands programs, line by line.
 pub(crate) struct Reader<'a> {
     pub(crate) modal: Modal,
-    options: &'a Options,
-    build: &'a MachineOf<'a>,
+    pub(crate) options: &'a Options,
+    pub(crate) build: &'a MachineOf<'a>,
     /// Whether a corrected program is read.
     reads_corrected: bool,
     has_ended: bool,
     /// Whether the mark of a corrected program was seen, and its text.
     pub(crate) mark: Option<String>,
-    klartext: Option<crate::klartext::Program>,
+    pub(crate) klartext: Option<crate::klartext::Program>,
 }
 
 impl<'a> Reader<'a> {
@@ -77,8 +84,12 @@ impl<'a> Reader<'a> {
             self.mark = Some(String::from_utf8_lossy(&text[start..]).trim_end_matches([')', ' ', '\r']).to_owned());
             return Ok(Action::Copy(None));
         }
+        if let Some(column) = text.iter().position(|byte| *byte == b'\r') {
+            let what = "a carriage return inside a line, where some controls end the block";
+            return Err(Refusal::new(column, "", what, "write each block on a line of its own: LF, or CR LF"));
+        }
         if self.has_ended {
-            return Ok(Action::Copy(None));
+            return self.after_end(text);
         }
         if self.klartext.is_some() {
             return self.klartext_line(text);
@@ -87,32 +98,66 @@ impl<'a> Reader<'a> {
         if line.is_frame {
             return Ok(Action::Copy(None));
         }
-        if let Some(column) = line.optional {
-            match self.options.block_delete {
-                Some(true) => return Ok(Action::Copy(None)),
-                Some(false) => {}
-                None => {
-                    let what = "a block that a switch of the control leaves out";
-                    return Err(Refusal::new(
-                        column,
-                        "/",
-                        what,
-                        "say how the switch stands: `--block-delete on` or `off`",
-                    ));
-                }
-            }
+        if self.is_left_out(line.optional)? {
+            return Ok(Action::Copy(None));
         }
         let said = self.modal.carry_out(&line, self.options, self.build)?;
         self.has_ended = said.is_end;
         self.act(line, said)
     }
 
+    /// What stands after the end: LinuxCNC reads no more of it; other controls may go on with another program.
+    fn after_end(&self, text: &[u8]) -> Result<Action, Refusal> {
+        let dialect = self.options.dialect;
+        let found = match dialect {
+            Dialect::Linuxcnc | Dialect::Heidenhain => Ok(Line::default()),
+            _ => lexer::line(text, dialect),
+        };
+        let column = match found {
+            // Blocks between M30 and END PGM are subprograms, and what calls them is refused.
+            _ if dialect == Dialect::Heidenhain => crate::klartext::begins(text).then_some(0),
+            Ok(line) => line.words.first().map(|word| word.span.start),
+            Err(refusal) => Some(refusal.column),
+        };
+        match column {
+            Some(column) => {
+                let help = "correct each program in a file of its own";
+                Err(Refusal::new(
+                    column,
+                    "",
+                    "a block after the end of the program: another program, or a subprogram",
+                    help,
+                ))
+            }
+            None => Ok(Action::Copy(None)),
+        }
+    }
+
     fn klartext_line(&mut self, text: &[u8]) -> Result<Action, Refusal> {
         let Some(mut program) = self.klartext.take() else { return Ok(Action::Copy(None)) };
-        let action = program.line(text, &mut self.modal, self.options, self.build);
+        let action = program.line(text, self);
         self.has_ended = program.has_ended;
         self.klartext = Some(program);
         action
+    }
+
+    /// Whether the switch of the control leaves a block out that has a `/` at this place.
+    pub(crate) fn is_left_out(&self, optional: Option<usize>) -> Result<bool, Refusal> {
+        let runs_always = self.options.dialect.always_runs_optional_blocks();
+        match (optional, self.options.block_delete.or(runs_always.then_some(false))) {
+            (None, _) => Ok(false),
+            (Some(column), Some(true)) if runs_always => {
+                let what = "a block that this control runs whatever a switch says";
+                let help = "leave out `--block-delete on`, or take these blocks out of the program";
+                Err(Refusal::new(column, "/", what, help))
+            }
+            (_, Some(is_on)) => Ok(is_on),
+            (Some(column), None) => {
+                let what = "a block that a switch of the control leaves out";
+                let help = "say how the switch stands: `--block-delete on` or `off`";
+                Err(Refusal::new(column, "/", what, help))
+            }
+        }
     }
 
     fn act(&mut self, line: Line, said: Said) -> Result<Action, Refusal> {
@@ -160,11 +205,11 @@ impl<'a> Reader<'a> {
         }
     }
 
-    fn jump(&self, motion: Option<Motion>, is_rapid: bool) -> Action {
+    pub(crate) fn jump(&self, motion: Option<Motion>, is_rapid: bool) -> Action {
         Action::Jump { at: self.modal.at, space: self.modal.space, motion, is_rapid }
     }
 
-    fn machine_block(&mut self, line: &Line) -> Result<(), Refusal> {
+    pub(crate) fn machine_block(&mut self, line: &Line) -> Result<(), Refusal> {
         for word in &line.words {
             let Some(axis) = place(word.letter) else { continue };
             self.check_axis(word, axis)?;
@@ -223,7 +268,7 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    fn motion(&mut self, line: Line, said: Said, motion: Motion) -> Result<Action, Refusal> {
+    pub(crate) fn motion(&mut self, line: Line, said: Said, motion: Motion) -> Result<Action, Refusal> {
         let offset = self.modal.offset();
         let (mut target, mut named) = (self.modal.at, [false; 9]);
         for word in &line.words {
@@ -332,7 +377,8 @@ impl<'a> Reader<'a> {
         let clockwise = motion == Motion::Clockwise;
         let in_plane = |at: &Coordinates| [at[plane[0]], at[plane[1]]];
         let (from, to) = (in_plane(&path.from), in_plane(&path.to));
-        let radius = line.words.iter().find(|word| word.letter == b'R' || word.name == "CR");
+        let of_siemens = || line.words.iter().find(|word| word.name == "CR");
+        let radius = line.words.iter().find(|word| word.letter == b'R').or_else(of_siemens);
         let centres: Vec<&Word> = line.words.iter().filter(|word| b"IJK".contains(&word.letter)).collect();
         let centre = match (radius, centres.first()) {
             (Some(word), None) => {
@@ -387,8 +433,8 @@ const WITH_NUMBERS: [f64; 4] = [5.1, 8.0, 61.0, 64.0];
 /// Farthest that the end of an arc may be from its circle, mm.
 const OFF_CIRCLE: f64 = 0.01;
 
-const START: &str = "say where the axes stand: `--start X0,Y0,Z0`, or begin with a rapid move that names all axes; after M6, which may move \
-                     them, such a move is needed too, or `--tool-change stays`";
+const START: &str = "say where the axes stand: `--start X0,Y0,Z0`, or begin with a rapid move that names all axes; after M6 or TOOL CALL, which may \
+                     move them, such a move is needed too, or `--tool-change stays`";
 
 /// A refusal of a whole block, at the word of its motion.
 fn first(line: &Line, what: &str, help: &str) -> Refusal {

@@ -8,7 +8,7 @@ use abbe_core::{Error, Result};
 use crate::block::{Action, Move, Reader};
 use crate::geometry::Path;
 use crate::machine::{Machine, Point, Space};
-use crate::modal::MachineOf;
+use crate::modal::{MachineOf, Motion};
 use crate::options::Options;
 use crate::plan::{Piece, Planned, Purpose, distance};
 use crate::program::{Lines, Summary, run};
@@ -132,6 +132,15 @@ impl Other<'_> {
         self.checked.blocks += 1;
         if found.space != planned.of.space {
             return Err(self.differs(line, "other coordinates than the program"));
+        }
+        let is_rapid = found.motion == Motion::Rapid;
+        if is_rapid != (piece.purpose == Purpose::Rapid) && !planned.of.is_fast_arc() {
+            let asked = if piece.purpose == Purpose::Rapid {
+                "in feed for a rapid one"
+            } else {
+                "that is rapid for one in feed"
+            };
+            return Err(self.differs(line, &format!("a move {asked}")));
         }
         let goal = planned.of.path;
         let pair =

@@ -49,7 +49,12 @@ impl Dialect {
     }
 
     pub(crate) fn has_bracket_comments(self) -> bool {
-        !self.is_siemens()
+        !matches!(self, Self::Siemens | Self::Heidenhain)
+    }
+
+    /// Whether blocks with `/` run always: grbl has no switch for them.
+    pub(crate) fn always_runs_optional_blocks(self) -> bool {
+        self == Self::Grbl
     }
 
     pub(crate) fn has_blanks_in_numbers(self) -> bool {
@@ -74,6 +79,11 @@ impl Dialect {
     /// Whether F under G93 is 1/minutes; where that differs from control to control it is not known.
     pub(crate) fn counts_inverse_minutes(self) -> Option<bool> {
         (self != Self::Iso).then_some(true)
+    }
+
+    /// Whether arcs have no coordinate outside of their plane: a helix is written in another way there, or not at all.
+    pub(crate) fn has_flat_arcs(self) -> bool {
+        self == Self::Heidenhain
     }
 
     /// Codes of inches and of mm where the unit at the start is a parameter of the control, or depends on the machine.
@@ -261,7 +271,9 @@ const CODES: &[Code] = &[
     Code(740, S, 0, Home),
     Code(750, S, 0, Home),
     Code(760, L | F, 1, CYCLE),
-    Code(800, L | I | F | G, 1, Keep),
+    // A group of its own on Fanuc's controls: `G0 G17 G40 G80` is a usual head.
+    Code(800, L | G, 1, Keep),
+    Code(800, I | F, 9, Keep),
     Code(810, L | I | F, 1, CYCLE),
     Code(820, L | I | F, 1, CYCLE),
     Code(830, L | I | F, 1, CYCLE),
@@ -386,6 +398,8 @@ pub fn table() -> String {
     for (name, meaning) in NAMES {
         let _ = writeln!(text, "| `{name}` | {} |", meaning.said());
     }
+    text.push('\n');
+    text.push_str(&crate::klartext::table());
     text
 }
 

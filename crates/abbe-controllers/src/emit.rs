@@ -1,6 +1,9 @@
 //! Corrected moves as text: what is not motion stays as it is written.
 
+use std::fmt::Write as _;
+
 use crate::block::Move;
+use crate::dialect::Dialect;
 use crate::geometry::{Coordinates, LETTERS, is_rotary, place};
 use crate::modal::Motion;
 use crate::options::Options;
@@ -11,17 +14,31 @@ pub(crate) struct Emitter<'a> {
     options: &'a Options,
     /// The motion that the written program has made modal.
     pub(crate) motion: Option<Motion>,
+    /// Block numbers of plain text, which run without gaps.
+    numbers: Option<crate::klartext::Numbers>,
 }
 
 impl<'a> Emitter<'a> {
     pub(crate) fn new(options: &'a Options) -> Self {
-        Self { options, motion: None }
+        let is_klartext = options.dialect == Dialect::Heidenhain;
+        Self { options, motion: None, numbers: is_klartext.then(crate::klartext::Numbers::default) }
+    }
+
+    /// Text that is not motion, as it is written; `is_new` if it is no line of the program.
+    pub(crate) fn copied(&mut self, text: Vec<u8>, is_new: bool) -> Vec<u8> {
+        match &mut self.numbers {
+            Some(numbers) => numbers.copied(text, is_new),
+            None => text,
+        }
     }
 
     /// The text of a move: its own line with other numbers, and a line for every further piece. `line` is as it is in the file.
     pub(crate) fn lines(&mut self, planned: &Planned, line: &[u8], out: &mut Vec<u8>) {
         let end = line.iter().rposition(|byte| !b"\r\n".contains(byte)).map_or(0, |last| last + 1);
         let (text, eol) = line.split_at(end);
+        if let Some(numbers) = &mut self.numbers {
+            return crate::klartext::write(numbers, self.options, planned, text, eol, out);
+        }
         let eol = if eol.is_empty() { b"\n".as_slice() } else { eol };
         let last = planned.pieces.len() - 1;
         for (index, piece) in planned.pieces.iter().enumerate() {
@@ -92,26 +109,23 @@ impl<'a> Emitter<'a> {
     /// The words of a piece: positions, centre, feed.
     fn words(&self, planned: &Planned, piece: &Piece) -> String {
         let of = &planned.of;
-        let mut words = Vec::new();
+        let mut words = String::with_capacity(64);
         let unit = |axis: usize| if of.inches && !is_rotary(axis) { 25.4 } else { 1.0 };
-        for (axis, letter) in LETTERS.iter().enumerate() {
-            if is_written(of, axis) {
-                let base = if of.relative { piece.path.from[axis] } else { of.offset[axis] };
-                let value = (piece.path.to[axis] - base) / unit(axis);
-                words.push(format!("{}{}", char::from(*letter), self.number(axis, value, of.inches)));
-            }
+        for (axis, letter) in LETTERS.iter().enumerate().filter(|(axis, _)| is_written(of, *axis)) {
+            let base = if of.relative { piece.path.from[axis] } else { of.offset[axis] };
+            self.push(&mut words, *letter, axis, (piece.path.to[axis] - base) / unit(axis), of.inches);
         }
         if let Some(arc) = piece.path.arc {
             for (place, axis) in arc.plane.into_iter().enumerate() {
                 let base = if of.arc_absolute { of.offset[axis] } else { piece.path.from[axis] };
-                let value = (arc.centre[place] - base) / unit(axis);
-                words.push(format!("{}{}", char::from(b'I' + axis as u8), self.number(axis, value, of.inches)));
+                self.push(&mut words, b'I' + axis as u8, axis, (arc.centre[place] - base) / unit(axis), of.inches);
             }
         }
         if let Some((feed, _)) = of.inverse_feed {
-            words.push(format!("F{}", trimmed(&format!("{:.6}", self.inverse_feed(planned, piece, feed)), true)));
+            words.push_str(" F");
+            push_number(&mut words, self.inverse_feed(planned, piece, feed), 6, true);
         }
-        words.join(" ")
+        words.trim_start().to_owned()
     }
 
     /// F of a piece under G93: the time of the block goes to its pieces as their share of the path.
@@ -129,25 +143,44 @@ impl<'a> Emitter<'a> {
         }
     }
 
-    fn number(&self, axis: usize, value: f64, inches: bool) -> String {
+    /// Appends a word with the number of an axis.
+    fn push(&self, words: &mut String, letter: u8, axis: usize, value: f64, inches: bool) {
         let rotary = is_rotary(axis);
         let decimals = if rotary { self.options.rotary_decimals } else { self.options.decimals + usize::from(inches) };
-        trimmed(&format!("{value:.decimals$}"), self.options.dialect.has_program_numbers())
+        words.extend([' ', char::from(letter)]);
+        push_number(words, value, decimals, self.options.dialect.has_program_numbers());
     }
 }
 
-/// A number without needless zeros; with its point where the control asks for it.
-fn trimmed(number: &str, keeps_point: bool) -> String {
-    let mut text = if number.contains('.') { number.trim_end_matches('0').to_owned() } else { number.to_owned() };
-    if !keeps_point {
-        text = text.trim_end_matches('.').to_owned();
-    } else if !text.contains('.') {
-        text.push('.');
+/// Largest number of last digits that is written as a whole number: it is exact there.
+const MOST_DIGITS: f64 = 1e15;
+
+/// Appends a number without needless zeros; with its point where the control asks for it.
+pub(crate) fn push_number(out: &mut String, value: f64, decimals: usize, keeps_point: bool) {
+    let from = out.len();
+    let digits = (value * 10_f64.powi(decimals as i32)).round();
+    // Nearly all numbers come here, and most of the time of writing would go into the general way of the library.
+    if digits.abs() < MOST_DIGITS && decimals <= 12 {
+        let (digits, one) = (digits as i64, 10_i64.pow(decimals as u32));
+        let sign = if digits < 0 { "-" } else { "" };
+        let (whole, part) = (digits.abs() / one, digits.abs() % one);
+        let _ = match decimals {
+            0 => write!(out, "{sign}{whole}"),
+            _ => write!(out, "{sign}{whole}.{part:0decimals$}"),
+        };
+    } else {
+        let _ = write!(out, "{value:.decimals$}");
     }
-    match text.as_str() {
-        "-0" => "0".to_owned(),
-        "-0." => "0.".to_owned(),
-        _ => text,
+    if out[from..].contains('.') {
+        out.truncate(out.trim_end_matches('0').len());
+    }
+    if !keeps_point && out.ends_with('.') {
+        out.pop();
+    } else if keeps_point && !out[from..].contains('.') {
+        out.push('.');
+    }
+    if out[from..].starts_with("-0") && matches!(&out[from..], "-0" | "-0.") {
+        out.remove(from);
     }
 }
 
@@ -179,10 +212,36 @@ mod tests {
 
     #[test]
     fn numbers_are_as_short_as_they_can_be() {
-        for (number, plain, pointed) in
-            [("10.0000", "10", "10."), ("-0.0000", "0", "0."), ("-0.5000", "-0.5", "-0.5"), ("100", "100", "100.")]
-        {
-            assert_eq!((trimmed(number, false).as_str(), trimmed(number, true).as_str()), (plain, pointed));
+        for (number, decimals, plain, pointed) in [
+            (10.0, 4, "10", "10."),
+            (-0.00001, 4, "0", "0."),
+            (-0.5, 4, "-0.5", "-0.5"),
+            (100.0, 0, "100", "100."),
+            (1e13, 4, "10000000000000", "10000000000000."),
+            (-12.00306, 4, "-12.0031", "-12.0031"),
+        ] {
+            for (keeps_point, wanted) in [(false, plain), (true, pointed)] {
+                let mut text = "X".to_owned();
+                push_number(&mut text, number, decimals, keeps_point);
+                assert_eq!(text, format!("X{wanted}"));
+            }
+        }
+    }
+
+    /// Whole numbers of last digits are what the library writes.
+    #[test]
+    fn numbers_are_those_of_the_library() {
+        let mut state = 7_u64;
+        for _ in 0..20_000 {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            let decimals = (state >> 60) as usize % 7;
+            let units = (state >> 20) as i64 % 4_000_000_000 - 2_000_000_000;
+            let value = units as f64 / 10_f64.powi(decimals as i32);
+            let mut text = String::new();
+            push_number(&mut text, value, decimals, false);
+            let library = format!("{value:.decimals$}");
+            assert_eq!(text.parse::<f64>(), library.parse::<f64>(), "{value} {decimals}");
+            assert!(text.len() <= library.len());
         }
     }
 }

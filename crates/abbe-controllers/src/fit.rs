@@ -15,12 +15,15 @@ pub(crate) struct Grid {
     digit: [f64; 9],
     offset: Coordinates,
     relative: bool,
+    /// Whether arcs have no coordinate outside of their plane.
+    has_flat_arcs: bool,
     /// Distances, mm and degrees, from which axes are brought to a start.
     apart: [f64; 9],
 }
 
 impl Grid {
     pub(crate) fn new(options: &Options, of: &Move) -> Self {
+        let has_flat_arcs = options.dialect.has_flat_arcs();
         let (mut written, mut digit, mut apart) = ([false; 9], [0.0; 9], [0.0; 9]);
         for axis in 0..9 {
             written[axis] = is_written(of, axis);
@@ -32,7 +35,7 @@ impl Grid {
             apart[axis] = if rotary { (quarter / LEVER).to_degrees() } else { quarter };
             apart[axis] = apart[axis].max(1.01 * digit[axis]);
         }
-        Self { written, digit, offset: of.offset, relative: of.relative, apart }
+        Self { written, digit, offset: of.offset, relative: of.relative, has_flat_arcs, apart }
     }
 
     /// The nearest position that can be written. What is not written stays.
@@ -115,13 +118,17 @@ impl Points<'_> {
         let whole = self.parts[end] - self.parts[start];
         let between = (start + 1..end).map(|point| {
             let on = path.at((self.parts[point] - self.parts[start]) / whole);
-            let by = |axis: usize| {
-                let by = on[axis] - self.points[point][axis];
-                if is_rotary(axis) { by.to_radians() * LEVER } else { by }
-            };
-            (0..9).map(|axis| by(axis).powi(2)).sum::<f64>().sqrt()
+            self.apart(&on, &self.points[point])
         });
         between.fold(0.0, f64::max)
+    }
+
+    fn apart(&self, one: &Coordinates, other: &Coordinates) -> f64 {
+        let by = |axis: usize| {
+            let by = one[axis] - other[axis];
+            if is_rotary(axis) { by.to_radians() * LEVER } else { by }
+        };
+        (0..9).map(|axis| by(axis).powi(2)).sum::<f64>().sqrt()
     }
 
     /// Arcs, halved until they hold the tolerance, and lines where not even the shortest does; gives where they end.
@@ -153,7 +160,13 @@ impl Points<'_> {
             return None;
         }
         let [i, j] = arc.plane;
-        let to = self.grid.rounded(&self.points[end], &from);
+        let mut to = self.grid.rounded(&self.points[end], &from);
+        if self.grid.has_flat_arcs {
+            (0..9).filter(|axis| ![i, j].contains(axis)).for_each(|axis| to[axis] = from[axis]);
+            if self.apart(&to, &self.points[end]) > self.tolerance {
+                return None;
+            }
+        }
         let flat = |at: &Coordinates| [at[i], at[j]];
         let through = flat(&self.points[middle]);
         let centre = centre_of_three(flat(&from), through, flat(&to))?;

@@ -8,6 +8,7 @@
 //! Corrections are those of [`abbe_compensation::Compensator`] (Soons 1993, 2.3.5).
 
 mod block;
+mod canonical;
 mod check;
 mod dialect;
 mod emit;
@@ -23,6 +24,7 @@ mod program;
 mod refusal;
 mod tools;
 
+pub use canonical::{Canonical, Prepared, prepare};
 pub use check::{Checked, Worst, check};
 pub use dialect::{Dialect, table};
 pub use geometry::{Coordinates, LETTERS, is_rotary, place};

@@ -1,9 +1,10 @@
 //! The machine of a calibration as programs see it.
 
+use std::collections::BTreeMap;
 use std::sync::Arc as Shared;
 
 use abbe_compensation::{Compensator, Settings};
-use abbe_core::{Absent, AxisKind, Error, KinematicModel, Poses, Result, StatusRole, Variable};
+use abbe_core::{Absent, AxisKind, Error, KinematicModel, Poses, Quantity, Result, StatusColumn, StatusRole, Variable};
 use nalgebra::{Matrix3, Vector3};
 
 use crate::geometry::{Coordinates, is_rotary, place};
@@ -61,6 +62,20 @@ impl Machine {
         length: f64,
         time: Option<f64>,
     ) -> Result<Self> {
+        Self::with_constants(model, values, settings, length, time, &BTreeMap::new())
+    }
+
+    /// The same with statuses that no program tells, by their names, and that stay: a load, a temperature; in the units of memory.
+    ///
+    /// Fails for a name that is none of them, and for another quantity.
+    pub fn with_constants(
+        model: Shared<dyn KinematicModel>,
+        values: Vec<f64>,
+        settings: Settings,
+        length: f64,
+        time: Option<f64>,
+        constants: &BTreeMap<String, (Quantity, f64)>,
+    ) -> Result<Self> {
         if settings.sensitive_direction.is_some() || settings.weights.is_some() {
             return Err(Error::usage("programs are corrected in all directions: leave out directions and weights"));
         }
@@ -89,7 +104,24 @@ impl Machine {
             endless[found] = axis.endless;
             travels[found] = axis.range.filter(|_| !axis.endless).map(|ends| ends.map(|end| end / factor));
         }
+        let is_told = |role: &StatusRole| matches!(role, StatusRole::Command(_) | StatusRole::Direction(_));
+        let open = || info.status.iter().filter(|column| !is_told(&column.role)).map(|column| column.name.as_str());
+        if let Some(name) = constants.keys().find(|name| !open().any(|known| known == name.as_str())) {
+            let message = format!("errors of this machine depend on no `{name}` that stays while a program runs");
+            return Err(Error::usage(message).suggest(name, open()));
+        }
         for (index, column) in info.status.iter().enumerate() {
+            if let Some((quantity, value)) = constants.get(&column.name) {
+                if *quantity != column.quantity {
+                    let (name, suffix) = (&column.name, column.quantity.usual_suffix());
+                    return Err(Error::usage(format!("`{name}` has the wrong unit: `{name}{suffix}` was expected")));
+                }
+                base.push(match column.quantity {
+                    Quantity::Label => level(column, *value)?,
+                    _ => *value,
+                });
+                continue;
+            }
             let value = match (&column.role, column.absent) {
                 (StatusRole::Command(_), _) => 0.0,
                 (StatusRole::Direction(axis), _) => {
@@ -98,10 +130,13 @@ impl Machine {
                     1.0
                 }
                 (StatusRole::Time, _) if time.is_some() => time.unwrap_or(f64::NAN),
-                (StatusRole::Series, Absent::Default(value)) => value,
+                // A program works with the tool itself, which is the first stylus.
+                (StatusRole::Series | StatusRole::Stylus, Absent::Default(value)) => value,
                 _ => {
                     let message = format!("errors of this machine depend on `{}`, which no program tells", column.name);
-                    return Err(Error::usage(message).help("correct with a calibration that does not depend on it"));
+                    let written = format!("{}{}", column.name, column.quantity.usual_suffix());
+                    let help = format!("say what it is while the program runs: `--constant {written}=0`");
+                    return Err(Error::usage(message).help(help));
                 }
             };
             base.push(value);
@@ -212,8 +247,11 @@ impl Machine {
 
     /// Positions of the axes.
     pub fn joints(&self, space: Space, points: &[Point]) -> Result<Vec<Coordinates>> {
-        let statuses = self.statuses(space, points)?;
         let mut found: Vec<Coordinates> = points.iter().map(|point| point.at).collect();
+        if space == Space::Joints {
+            return Ok(found);
+        }
+        let statuses = self.statuses(space, points)?;
         for (at, status) in found.iter_mut().zip(statuses.chunks(self.base.len())) {
             self.axes.iter().for_each(|(place, column, factor)| at[*place] = status[*column] / factor);
         }
@@ -299,6 +337,14 @@ impl Machine {
         self.model.poses(statuses, values, &[], false, &mut poses)?;
         Ok(poses.positions)
     }
+}
+
+/// The place of a label, which is a number, among those that a status can have.
+fn level(column: &StatusColumn, value: f64) -> Result<f64> {
+    let found = column.levels.iter().position(|level| *level == value.to_string());
+    let known = column.levels.join(", ");
+    let error = || Error::usage(format!("`{}` is {value}; one of {known} was expected", column.name));
+    found.map(|index| index as f64).ok_or_else(error)
 }
 
 /// Longest step, mm, between points at which a path is looked at, where no error repeats.

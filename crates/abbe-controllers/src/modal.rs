@@ -45,11 +45,11 @@ pub(crate) struct Modal {
     pub(crate) arc_absolute: bool,
     pub(crate) inches: bool,
     pub(crate) inverse: bool,
-    system: Option<usize>,
+    pub(crate) system: Option<usize>,
     systems: [Coordinates; 9],
     /// Systems whose offsets are known.
     known: [bool; 9],
-    shift: Coordinates,
+    pub(crate) shift: Coordinates,
     tool: Option<u32>,
     next_tool: Option<u32>,
     pub(crate) length: Option<f64>,
@@ -315,17 +315,26 @@ impl Modal {
             // Some of these controls move Z at once.
             self.at[2] = None;
         }
+        let failed = |error: abbe_core::Error| refused(word, &error.message, "is the length right?");
+        self.use_length(length, options, build).map_err(failed)
+    }
+
+    /// The machine with a tool of this length.
+    pub(crate) fn use_length(
+        &mut self,
+        length: Option<f64>,
+        options: &Options,
+        build: &MachineOf<'_>,
+    ) -> abbe_core::Result<()> {
         if length != self.length {
-            let of = length.or(options.tools.only);
-            let failed = |error: abbe_core::Error| refused(word, &error.message, "is the length right?");
-            self.machine = Rc::new(build(of).map_err(failed)?);
+            self.machine = Rc::new(build(length.or(options.tools.only))?);
             self.length = length;
         }
         Ok(())
     }
 
     /// Switches between positions of the axes and of the tip.
-    fn set_centre(&mut self, on: bool, word: &Word) -> Result<(), Refusal> {
+    pub(crate) fn set_centre(&mut self, on: bool, word: &Word) -> Result<(), Refusal> {
         let space = if on { Space::Workpiece } else { Space::Joints };
         if space == self.space {
             return Ok(());

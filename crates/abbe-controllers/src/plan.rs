@@ -38,7 +38,7 @@ pub(crate) struct Piece {
 
 /// A move with its pieces.
 pub(crate) struct Planned {
-    pub(crate) of: Move,
+    pub(crate) of: Box<Move>,
     pub(crate) pieces: Vec<Piece>,
     /// Largest distance of the tip, mm, that was found along it.
     pub(crate) remaining: f64,
@@ -56,8 +56,9 @@ struct Segment {
 /// Plans moves one after the other.
 pub(crate) struct Planner<'a> {
     options: &'a Options,
-    /// Where the axes stand as it is written.
+    /// Where the axes stand as it is written, and of which axes that is known.
     pub(crate) written: Option<Coordinates>,
+    known: [bool; 9],
     /// Directions of the last moves of the axes.
     directions: Coordinates,
     /// Exact corrected position at the end of the last move, if that was corrected.
@@ -72,18 +73,23 @@ const ATTEMPTS: u32 = 10;
 
 impl<'a> Planner<'a> {
     pub(crate) fn new(options: &'a Options) -> Self {
-        Self { options, written: None, directions: [1.0; 9], last: None }
+        Self { options, written: None, known: [true; 9], directions: [1.0; 9], last: None }
     }
 
     /// The axes have moved without a correction.
     pub(crate) fn jumped(&mut self, at: &[Option<f64>; 9]) {
-        if let Some(written) = &mut self.written {
-            for axis in 0..9 {
-                if let Some(at) = at[axis].filter(|at| *at != written[axis]) {
-                    self.directions[axis] = (at - written[axis]).signum();
-                }
+        for axis in 0..9 {
+            let before = match self.written {
+                Some(written) => Some(written[axis]).filter(|_| self.known[axis]),
+                None => self.options.start[axis],
+            };
+            if let (Some(before), Some(at)) = (before, at[axis])
+                && at != before
+            {
+                self.directions[axis] = (at - before).signum();
             }
         }
+        self.known = at.map(|at| at.is_some());
         self.written = Some(at.map(|at| at.unwrap_or(0.0)));
         self.last = None;
     }
@@ -94,7 +100,10 @@ impl<'a> Planner<'a> {
     }
 
     /// Plans moves of one machine and one kind of coordinates. Errors have the index of their move as their pose.
-    pub(crate) fn plan(&mut self, moves: Vec<Move>) -> Result<Vec<Planned>> {
+    pub(crate) fn plan(&mut self, moves: Vec<Box<Move>>) -> Result<Vec<Planned>> {
+        if !moves.is_empty() {
+            self.known = [true; 9];
+        }
         let mut segments = Vec::with_capacity(moves.len());
         for (index, of) in moves.iter().enumerate() {
             segments.push(self.segments(of, 0).map_err(|error| error.at_pose(index))?);
@@ -145,8 +154,7 @@ impl<'a> Planner<'a> {
                     return Err(Error::data(message).help(help).at_pose(index));
                 }
                 let at = |error: Error| error.at_pose(index);
-                let mut again =
-                    Self { written: start.0, last: start.1, options: self.options, directions: self.directions };
+                let mut again = Self { written: start.0, last: start.1, directions: self.directions, ..*self };
                 let segments = finer(&own.pieces, own, attempt);
                 let (points, _) = points_of(std::slice::from_ref(&own.of), std::slice::from_ref(&segments));
                 let corrected = own.of.machine.corrected(own.of.space, &points).map_err(at)?;
@@ -315,7 +323,7 @@ const ARC_STEP: f64 = 0.4;
 const MOST_STEPS: usize = 1 << 16;
 
 /// The points that have to be computed, and the index of the move of each.
-fn points_of(moves: &[Move], segments: &[Vec<Segment>]) -> (Vec<Point>, Vec<usize>) {
+fn points_of(moves: &[Box<Move>], segments: &[Vec<Segment>]) -> (Vec<Point>, Vec<usize>) {
     let (mut points, mut owners) = (Vec::new(), Vec::new());
     for (index, (of, segments)) in moves.iter().zip(segments).enumerate() {
         for segment in segments {

@@ -150,7 +150,7 @@ struct Run<'a, 'b> {
     options: &'a Options,
     keep: &'b mut Keep<'b>,
     waiting: Vec<(Waiting, usize)>,
-    moves: Vec<Move>,
+    moves: Vec<Box<Move>>,
     summary: Summary,
     is_marked: bool,
     /// In which coordinates, and with which tool, the last move was.
@@ -161,8 +161,12 @@ impl Run<'_, '_> {
     fn line(&mut self, line: &[u8], number: usize) -> Result<()> {
         let end = line.iter().rposition(|byte| !b"\r\n".contains(byte)).map_or(0, |last| last + 1);
         let text = &line[..end];
-        let action = self.reader.line(text).map_err(|refusal| refusal.at(&self.options.file, number, text))?;
-        if !self.is_marked && !self.is_perfect && !is_head(text, self.options.dialect) {
+        let action = self
+            .reader
+            .line(text)
+            .map_err(|refusal| refusal.or_written_out(self.options.dialect).at(&self.options.file, number, text))?;
+        let has_begun = self.reader.klartext.as_ref().is_none_or(|program| program.has_begun);
+        if !self.is_marked && !self.is_perfect && has_begun && !is_head(text, self.options.dialect) {
             self.mark(&line[end..]);
         }
         if !matches!(action, Action::Copy(_)) {
@@ -189,7 +193,7 @@ impl Run<'_, '_> {
                     self.flush()?;
                     self.changed(&of)?;
                 }
-                self.moves.push(*of);
+                self.moves.push(of);
                 self.waiting.push((Waiting::Move(line.to_vec()), number));
             }
         }
@@ -257,7 +261,7 @@ impl Run<'_, '_> {
             match waiting {
                 Waiting::Text(text, motion) => {
                     self.emitter.motion = motion.or(self.emitter.motion);
-                    (self.keep)(None, &text, number)?;
+                    (self.keep)(None, &self.emitter.copied(text, number == 0), number)?;
                 }
                 Waiting::Move(line) => {
                     let Some(own) = planned.next() else { continue };
@@ -292,7 +296,11 @@ impl Run<'_, '_> {
 fn is_head(text: &[u8], dialect: Dialect) -> bool {
     let text = text.trim_ascii();
     let first = text.first().copied().unwrap_or(b'%');
-    first == b'%' || text.starts_with(b";$PATH") || dialect.has_program_numbers() && first.eq_ignore_ascii_case(&b'O')
+    let begins = dialect == Dialect::Heidenhain && crate::klartext::begins(text);
+    begins
+        || first == b'%'
+        || text.starts_with(b";$PATH")
+        || dialect.has_program_numbers() && first.eq_ignore_ascii_case(&b'O')
 }
 
 /// Lines of a program with their ends.

@@ -4,6 +4,8 @@ use std::path::Path;
 
 use abbe_core::Error;
 
+use crate::dialect::Dialect;
+
 /// Something in a line that cannot be corrected.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refusal {
@@ -20,6 +22,14 @@ impl Refusal {
     pub fn new(column: usize, word: &str, what: &str, help: &str) -> Self {
         let message = if word.is_empty() { what.to_owned() } else { format!("`{word}`: {what}") };
         Self { column, message, help: help.to_owned() }
+    }
+
+    /// The same where the control's own interpreter may write out what is to be written out.
+    pub(crate) fn or_written_out(mut self, dialect: Dialect) -> Self {
+        if dialect == Dialect::Linuxcnc && self.help.starts_with("write out ") {
+            self.help.push_str("; LinuxCNC's interpreter does it with `--write-out`");
+        }
+        self
     }
 
     /// The error of a line; lines count from 1.

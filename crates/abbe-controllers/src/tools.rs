@@ -20,7 +20,7 @@ impl Tools {
     /// Fails for a line without a number or a length, and for a number twice.
     pub fn read(text: &str, file: &Path) -> Result<Self> {
         let mut by_number = BTreeMap::new();
-        for (index, line) in text.lines().enumerate() {
+        for (index, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
             let own = line.split(';').next().unwrap_or_default().trim();
             if own.is_empty() {
                 continue;
@@ -36,6 +36,15 @@ impl Tools {
             };
             let number = value('T').filter(|number| *number >= 0.0 && number.fract() == 0.0 && *number < 1e6);
             let number = number.ok_or_else(|| at("a line of a tool table without the number of a tool"))?;
+            let of_letter =
+                |letter: char| own.split_whitespace().filter(move |word| word.to_ascii_uppercase().starts_with(letter));
+            if let Some(letter) = "TZ".chars().find(|letter| of_letter(*letter).count() > 1) {
+                return Err(at(&format!("a line of a tool table with {letter} twice")));
+            }
+            if let Some(letter) = "XYABCUVW".chars().find(|letter| value(*letter).is_some_and(|offset| offset != 0.0)) {
+                let help = "only lengths are counted: correct programs for tools without other offsets";
+                return Err(at(&format!("a tool with an offset along {letter}")).help(help));
+            }
             let length = value('Z').filter(|length| length.is_finite());
             let length = length.ok_or_else(|| at("a tool without a length"))?;
             if length < 0.0 {
@@ -65,7 +74,10 @@ mod tests {
         let read = |text| Tools::read(text, Path::new("tool.tbl"));
         let tools = read("T4 P4 Z87.5 D6 ; end mill\n\nT5 P5 Z+120\n").expect("a table");
         assert_eq!((tools.length(4), tools.length(5), tools.length(6)), (Some(87.5), Some(120.0), None));
-        assert!(read("T4 P4\n").is_err() && read("T1 Z1\nT1 Z2\n").is_err());
+        for wrong in ["T4 P4\n", "T1 Z1\nT1 Z2\n", "T1 Z120.5 Z20\n", "T1 P1 Z120 X200 Y-50\n", "T1 Z120 A5\n"] {
+            assert!(read(wrong).is_err_and(|error| error.place.is_some_and(|place| place.line.is_some())), "{wrong}");
+        }
+        assert!(read("\u{feff}T1 P1 Z120 X0 Y+0\n").is_ok());
         assert!(read("T1 Z-350.5\n").is_err_and(|error| error.help.is_some_and(|help| help.contains("gauge line"))));
     }
 }

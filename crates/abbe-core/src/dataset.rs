@@ -1,6 +1,6 @@
 //! Data sets: named columns, one row a measurement.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -57,10 +57,44 @@ pub struct Column {
 pub struct RowOrigin {
     /// Index into [`Dataset::files`].
     pub file: usize,
-    /// Line in that file, from 1.
+    /// Line in that file, from 1; 0 in a file that has no lines.
     pub line: usize,
     /// Number of the data row in that file, from 1; header and comments are not counted.
     pub row: usize,
+}
+
+impl RowOrigin {
+    /// Its place in its file: `line 17`, or `row 16` where the file has no lines.
+    pub fn in_words(&self) -> String {
+        match self.line {
+            0 => format!("row {}", self.row),
+            line => format!("line {line}"),
+        }
+    }
+
+    /// The places of two rows of one file: `lines 17 and 18`.
+    pub fn both_in_words([one, other]: [Self; 2]) -> String {
+        match (one.line, other.line) {
+            (0, _) | (_, 0) => format!("rows {} and {}", one.row, other.row),
+            (one, other) => format!("lines {one} and {other}"),
+        }
+    }
+
+    /// Its place with its file: `a.csv:17`, or `a.parquet: row 16`.
+    pub fn in_file(&self, file: &Path) -> String {
+        match self.line {
+            0 => format!("{}: row {}", file.display(), self.row),
+            line => format!("{}:{line}", file.display()),
+        }
+    }
+
+    /// The error with the place of the row in its file.
+    pub fn blame(&self, error: Error, file: &Path) -> Error {
+        match self.line {
+            0 => Error { message: format!("row {}: {}", self.row, error.message), ..error.in_file(file) },
+            line => error.at(file, line, None),
+        }
+    }
 }
 
 /// Measurements as they come from ingest: named columns with units, one row a measurement.
@@ -160,7 +194,7 @@ impl Dataset {
     /// An error that points at a row.
     pub fn error_at(&self, row: DataRow, message: impl Into<String>) -> Error {
         let origin = self.origins[row];
-        Error::data(message).at(&self.files[origin.file], origin.line, None)
+        origin.blame(Error::data(message), &self.files[origin.file])
     }
 }
 

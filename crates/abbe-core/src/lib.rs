@@ -51,7 +51,7 @@ pub use abbe_results::{
     CALIBRATION_FORMAT, Calibration, Certificate, Combination, CombinedAgreement, ConsideredInput, Contribution,
     Correlated, DataRecord, Decision, EquivalentMotionError, Estimated, Figure, FileFormat, Findings, FitReport, Group,
     GumComparison, Identifiability, ImplausibleValue, JointCoverage, Limit, ModelRecord, MonteCarlo, NamedCovariance,
-    Outlier, ParameterBudget, PredictedStructure, Rule, Selection, SelectionByPrediction, SelectionDirection,
+    Outlier, ParameterBudget, PredictedStructure, Rule, Samples, Selection, SelectionByPrediction, SelectionDirection,
     SelectionStep, SimulatedParameter, Status, UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor, Verdict,
     WeakDirection, rule_or_name, schema_of_rules,
 };

@@ -228,6 +228,11 @@ pub trait Export: Send + Sync {
     /// The files for a calibration; `model` is the calibration's own.
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>>;
 
+    /// The files for an estimate with its rows; those for its calibration unless the exporter needs more.
+    fn export_fit(&self, fit: &Fit) -> Result<Vec<ExportedFile>> {
+        self.export(&fit.calibration, fit.problem.model.as_ref())
+    }
+
     /// What a control with these files does to the commands of a program; none if the files correct nothing.
     fn correction(
         &self,

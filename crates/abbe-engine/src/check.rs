@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{Identifiability, Kind, Monitor, Problem, Result};
-use abbe_estimation::remarks;
+use abbe_estimation::{dead_channels, remarks};
 use abbe_recipe::Stage;
 
 use crate::groups::GroupProblem;
@@ -41,6 +41,7 @@ impl Prepared {
             let mut identifiability = self.located(stage, estimator.identify(problem))?;
             found.insert(stage.name.clone(), identifiability.clone());
             identifiability.remarks.extend(remarks(problem));
+            identifiability.remarks.extend(dead_channels(problem));
             identifiability.remarks.extend(self.substitutes(stage, problem, &identifiability));
             let accepted = self.located(stage, estimator.accepts(&identifiability))?;
             let own = problem.unknowns.iter().filter(|unknown| unknown.is_of_machine());

@@ -5,11 +5,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use abbe_core::{DataRow, Dataset, Error, Fit, Group, Kind, ListedBy, Monitor, Problem, Result, in_parallel};
+use abbe_estimation::{copied_runs, copies};
 use abbe_recipe::Stage;
 
 use crate::evidence::{Digests, of_problem};
 use crate::outcome::Failure;
+use crate::plausibility::EXACT;
 use crate::prepare::Prepared;
+use crate::record::Remark;
 use crate::run::{Datasets, Taken};
 
 /// The value of `per` for the rows of one file each.
@@ -118,6 +121,31 @@ impl Prepared {
     }
 }
 
+impl Prepared {
+    /// Rows of one group that are those of another one to the last digit: a test that was not made.
+    pub(crate) fn copied_groups(&self, fits: &[Fit], problems: &BTreeMap<String, Problem>) -> Vec<Remark> {
+        let mut remarks = Vec::new();
+        for stage in self.stages(Kind::Estimate).filter(|stage| stage.per.is_some()) {
+            let own: Vec<&Fit> = fits.iter().filter(|fit| is_of(fit, &stage.name)).collect();
+            let is_exact = own.iter().all(|fit| fit.calibration.fit.sigma <= EXACT);
+            // A group with copies of its own rows tells them.
+            if is_exact || own.iter().any(|fit| !copied(&fit.problem).is_empty()) {
+                continue;
+            }
+            // All groups together.
+            let Some(all) = problems.get(&stage.name) else { continue };
+            let estimate = &stage.name;
+            remarks.extend(copied(all).into_iter().map(|text| Remark { estimate: estimate.clone(), text }));
+        }
+        remarks
+    }
+}
+
+/// Sentences on rows that are copies of others.
+fn copied(problem: &Problem) -> Vec<String> {
+    [copies(problem), copied_runs(problem)].concat()
+}
+
 /// The label of every row.
 fn labels_of(data: &Dataset, by: &str) -> Result<Vec<String>> {
     if by != FILE {
@@ -173,7 +201,13 @@ pub fn day_of(label: &str) -> Option<f64> {
     let mut parts = label.split('-');
     let mut next = |digits: usize| parts.next().filter(|part| part.len() == digits)?.parse::<i64>().ok();
     let (year, month, day) = (next(4)?, next(2)?, next(2)?);
-    if parts.next().is_some() || !(1..=12).contains(&month) || !(1..=31).contains(&day) {
+    let is_leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
+    let days = match month {
+        2 => 28 + i64::from(is_leap),
+        4 | 6 | 9 | 11 => 30,
+        _ => 31,
+    };
+    if parts.next().is_some() || !(1..=12).contains(&month) || !(1..=days).contains(&day) {
         return None;
     }
     let year = if month <= 2 { year - 1 } else { year };
@@ -186,6 +220,14 @@ pub fn day_of(label: &str) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn dates_that_do_not_exist_are_no_days() {
+        for date in ["2026-02-29", "2026-02-31", "2100-02-29", "2026-04-31", "2026-13-01", "2026-00-10", "2026-01-00"] {
+            assert_eq!(day_of(date), None, "{date}");
+        }
+        assert_eq!((day_of("2000-02-29"), day_of("2024-02-29")), (Some(11_016.0), Some(19_782.0)));
+    }
 
     #[test]
     fn groups_have_times() {

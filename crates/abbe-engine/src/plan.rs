@@ -247,7 +247,9 @@ fn of_files(data: &Dataset, plan: &Plan) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
             continue;
         }
         let text = abbe_table::read_text(path)?;
-        let name = path.file_name().map_or_else(|| PathBuf::from("plan.csv"), PathBuf::from);
+        // What is packed comes out as text.
+        let unpacked = abbe_files::without_packing(path);
+        let name = unpacked.file_name().map_or_else(|| PathBuf::from("plan.csv"), PathBuf::from);
         if files.insert(name, chosen(path, &text, &of_file, data)?).is_some() {
             return Err(Error::usage("two files of candidates have the same name")
                 .help("give one of them another name")

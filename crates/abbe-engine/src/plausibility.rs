@@ -10,8 +10,8 @@ use abbe_core::{
     Problem, Quantity, Result, Status, Unit,
 };
 use abbe_estimation::{
-    LargeError, absurd_error, contradicted, implausible_errors, large_errors, likely_causes, likely_mistakes,
-    opposite_factor,
+    LargeError, absurd_error, contradicted, dead_channels, implausible_errors, large_errors, likely_causes,
+    likely_mistakes, opposite_factor,
 };
 use abbe_recipe::Stage;
 
@@ -40,6 +40,18 @@ fn of_statements(fit: &Fit) -> Vec<Error> {
     errors
 }
 
+/// The scatter of residuals below which data are exact: they repeat to the last digit.
+pub(crate) const EXACT: f64 = 0.01;
+
+/// Channels that no working instrument has.
+fn of_instruments(fit: &Fit) -> Vec<Error> {
+    if fit.calibration.fit.sigma <= EXACT {
+        return Vec::new();
+    }
+    let help = "measure again, or leave these rows out: what is estimated from them is not that of the machine";
+    dead_channels(&fit.problem).into_iter().map(|words| Error::data(words).help(help)).collect()
+}
+
 impl Prepared {
     /// The estimates from measurements with errors that are implausible; these are marked in their calibrations. What is large, and may
     /// be real, is told only.
@@ -55,7 +67,8 @@ impl Prepared {
                 }
                 continue;
             }
-            let errors = of_statements(fit).into_iter().map(|error| error.stage(&stage.name));
+            let errors =
+                of_statements(fit).into_iter().chain(of_instruments(fit)).map(|error| error.stage(&stage.name));
             failures.extend(errors.map(|error| Failure::own(stage, self.recipe.locate(error))));
             let plausible = &self.plausible[&stage.name];
             let mut large = self.located(stage, large_errors(plausible, &fit.problem, &fit.calibration))?;

@@ -76,7 +76,10 @@ impl Prepared {
             let texts = if is_there { [remarks(problem), copies(problem)].concat() } else { Vec::new() };
             texts.into_iter().map(|text| Remark { estimate: name.clone(), text }).collect::<Vec<_>>()
         };
-        let remarks = problems.iter().filter(|(_, problem)| !problem.sets.is_empty()).flat_map(told).collect();
+        let of_fits = problems.iter().filter(|(_, problem)| !problem.sets.is_empty()).flat_map(told);
+        let of_groups = self.copied_groups(&fits, &problems);
+        of_groups.iter().for_each(|remark| tracing::warn!("{}: {}", remark.estimate, remark.text));
+        let remarks = of_fits.chain(of_groups).collect();
         Ok(Outcome {
             recipe: self.recipe.id.clone(),
             title: self.recipe.name.clone(),
@@ -210,7 +213,7 @@ impl Prepared {
             }
             for fit in named(stage.reference("of"), fits) {
                 let exporter = &self.exporters[&stage.name];
-                let files = self.located(stage, exporter.export(&fit.calibration, fit.problem.model.as_ref()));
+                let files = self.located(stage, exporter.export_fit(fit));
                 exports.extend(unless_failed(stage, files, failures)?.map(|files| (stage.name.clone(), files)));
             }
         }

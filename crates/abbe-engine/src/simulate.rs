@@ -89,11 +89,13 @@ impl Prepared {
         for source in self.files.iter().filter(|file| **file != self.recipe.path).collect::<BTreeSet<_>>() {
             let place = places.of(source)?;
             let mut content = abbe_files::read(source, u64::MAX).map_err(|error| unreadable(source, &error))?;
+            let of_packing = |error: io::Error| abbe_table::unreadable(source, &error);
             if let Some(cells) = cells.get(source) {
                 let layout = layouts.get(source).cloned().unwrap_or_default();
                 let copied = abbe_table::read_laid_out(source, &layout)?.0.rows() - cells.len();
                 let comment = comment(&named, seed, copied);
-                content = abbe_table::with_cells_laid_out(source, &content, cells, &layout, &comment)?;
+                let (table, packing) = abbe_files::content_of(content).map_err(of_packing)?;
+                content = packing.pack(abbe_table::with_cells_laid_out(source, &table, cells, &layout, &comment)?);
                 data.push(SimulatedFile { file: place.clone(), measured: cells.len(), copied });
             } else if let Some(read_by) = readers.get(source) {
                 not_simulated.push(UnchangedFile { file: place.clone(), read_by: read_by.clone() });
@@ -135,7 +137,7 @@ impl Prepared {
         for stage in self.stages(Kind::Ingest) {
             if !self.ingests[&stage.name].is_of_tables() {
                 let error = Error::usage(format!(
-                    "`{}` reads lines of a log, and rows are written into tables only",
+                    "`{}` reads lines of a log, or tables that are no text, and rows are written into tables of text only",
                     stage.name
                 ));
                 let error =

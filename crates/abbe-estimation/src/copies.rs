@@ -2,7 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{Column, ColumnHeader, Contact, DataRow, Dataset, ObservationSet, Problem, Quantity, SetIndex, Values};
+use abbe_core::{
+    Column, ColumnHeader, Contact, DataRow, Dataset, ObservationSet, Problem, Quantity, RowOrigin, SetIndex, Values,
+};
 
 use crate::repeated_rows::{copied_rows, repeated_in_words};
 
@@ -33,11 +35,11 @@ fn copied(problem: &Problem) -> Vec<String> {
     let of_set = |set: &ObservationSet| {
         let data = &set.info().layout.data;
         let (count, first) = copied_rows(data, rows_of(set), IN_TURN, false)?;
-        let lines = first.map(|row| data.origins[row].line);
+        let places = RowOrigin::both_in_words(first.map(|row| data.origins[row]));
         Some(format!(
-            "{}: {count} rows are those of earlier ones to the last digit, but for times and labels (the first: lines {} and {}): are \
+            "{}: {count} rows are those of earlier ones to the last digit, but for times and labels (the first: {places}): are \
              they copies? Each counts as a measurement of its own",
-            set.name, lines[0], lines[1]
+            set.name
         ))
     };
     problem.sets.iter().filter_map(of_set).collect()
@@ -60,7 +62,7 @@ pub fn copied_runs(problem: &Problem) -> Vec<String> {
 }
 
 /// The smallest standard uncertainty of the readings of every set.
-fn least_uncertainties(problem: &Problem) -> BTreeMap<SetIndex, f64> {
+pub(crate) fn least_uncertainties(problem: &Problem) -> BTreeMap<SetIndex, f64> {
     let mut uncertainties: BTreeMap<SetIndex, f64> = BTreeMap::new();
     let equations =
         problem.equation_rows().into_iter().zip(problem.standard_uncertainties()).zip(problem.constraints());
@@ -79,14 +81,12 @@ fn copied_within(set: &ObservationSet, uncertainty: f64) -> Option<String> {
     if copied_rows(data, rows_of(set), IN_TURN, false).is_some() {
         return None;
     }
-    let lines = first.map(|row| data.origins[row].line);
+    let places = RowOrigin::both_in_words(first.map(|row| data.origins[row]));
     let file = data.files.get(data.origins[first[1]].file).filter(|_| data.files.len() > 1);
     Some(format!(
-        "{}: {count} rows have the numbers of earlier ones to the last digit under other labels (the first: lines {} and {}{}): are \
+        "{}: {count} rows have the numbers of earlier ones to the last digit under other labels (the first: {places}{}): are \
          they copies? Each counts as a measurement of its own",
         set.name,
-        lines[0],
-        lines[1],
         file.map_or(String::new(), |file| format!(" of `{}`", file.display()))
     ))
 }
@@ -104,13 +104,13 @@ fn copied_across(sets: &[(&ObservationSet, f64)]) -> Vec<String> {
             let Some(earlier) = fine_rows(one, *own) else { continue };
             let Some((count, lines)) = copied_between((first, earlier), (second, &rows)) else { continue };
             found.push(format!(
-                "{} and {}: {count} rows have the same numbers to the last digit (the first: line {} of `{}` and line {} of `{}`): are \
+                "{} and {}: {count} rows have the same numbers to the last digit (the first: {} of `{}` and {} of `{}`): are \
                  they copies? Each counts as a measurement of its own",
                 one.name,
                 other.name,
-                first.origins[lines[0]].line,
+                first.origins[lines[0]].in_words(),
                 file_of(first, lines[0]),
-                second.origins[lines[1]].line,
+                second.origins[lines[1]].in_words(),
                 file_of(second, lines[1])
             ));
         }

@@ -9,6 +9,7 @@ use abbe_core::{
 };
 
 use crate::aliasing::aliased;
+use crate::channels::doubtful_channels;
 use crate::copies::repeated;
 use crate::directions::turned;
 use crate::instruments::instruments;
@@ -25,6 +26,7 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks.extend(repeated(problem));
     remarks.extend(reversed(problem));
     remarks.extend(instruments(problem));
+    remarks.extend(doubtful_channels(problem));
     remarks.extend(shared(problem));
     remarks.extend(styli(problem));
     remarks.extend(missed(problem));
@@ -80,7 +82,7 @@ fn shared(problem: &Problem) -> Vec<String> {
     let (mut first, mut pairs) = (BTreeMap::new(), BTreeMap::new());
     for ((set, row), residuals) in rows {
         let Some((file, origin)) = problem.origin(set, row) else { continue };
-        let other = *first.entry((file, origin.line, residuals)).or_insert(set);
+        let other = *first.entry((file, origin.row, residuals)).or_insert(set);
         if other != set {
             *pairs.entry((other, set)).or_insert(0) += 1;
         }

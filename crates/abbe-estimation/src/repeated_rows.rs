@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-use abbe_core::{Column, DataRow, Dataset, Quantity, Values};
+use abbe_core::{Column, DataRow, Dataset, Quantity, RowOrigin, Values};
 
 /// Rows that are the same in every column as an earlier one, each with that one. Labels that count the rows are not compared: a
 /// copy of a row has another one.
@@ -59,7 +59,7 @@ fn same_in(
     repeated
 }
 
-/// The repeated rows in words, with the lines of the first.
+/// The repeated rows in words, with the places of the first.
 pub fn repeated_in_words(data: &Dataset, rows: impl IntoIterator<Item = DataRow>) -> Option<String> {
     let repeated = repeated_rows(data, rows);
     let &(one, other) = repeated.first()?;
@@ -67,9 +67,8 @@ pub fn repeated_in_words(data: &Dataset, rows: impl IntoIterator<Item = DataRow>
     let place = |row: DataRow| data.origins[row];
     let file = data.files.get(place(other).file).filter(|_| data.files.len() > 1);
     Some(format!(
-        "{rows} in the data twice, the same in every column (the first: lines {} and {}{})",
-        place(one).line,
-        place(other).line,
+        "{rows} in the data twice, the same in every column (the first: {}{})",
+        RowOrigin::both_in_words([place(one), place(other)]),
         file.map_or(String::new(), |file| format!(" of `{}`", file.display()))
     ))
 }

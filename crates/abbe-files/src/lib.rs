@@ -1,11 +1,15 @@
 //! Opens and reads the files that people name: recipes, truths, calibrations, data, libraries.
 //!
 //! A named pipe would hang the program, and a device fill its memory. So only regular files are opened, and what is read as a whole
-//! has a bound on its size.
+//! has a bound on its size. Tables may be packed by gzip or Zstandard.
+
+mod packed;
 
 use std::fs::{self, File, Metadata};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
+
+pub use packed::{Content, Packing, content_of, is_of_packing, most_content, open_content, without_packing};
 
 /// Bytes of the largest recipe, machine file or truth: 16 MiB. People write these.
 pub const LARGEST_TEXT: u64 = 16 << 20;

@@ -30,6 +30,7 @@ impl ToSql for Cell {
 impl File {
     /// Opens a file to add to it; makes it if it is not there.
     pub(crate) fn open(path: &Path) -> Result<Self> {
+        is_file_if_there(path)?;
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_CREATE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let mut file = Self::connected(path, flags)?;
         if file.checked()? < SCHEMA_VERSION {
@@ -64,6 +65,7 @@ impl File {
 
     /// Opens a file to read it; nothing is changed.
     pub(crate) fn read(path: &Path) -> Result<Self> {
+        is_file_if_there(path)?;
         if !path.is_file() {
             return Err(Error::usage(format!("the history {} does not exist", path.display()))
                 .help("`abbe history add` makes it"));
@@ -160,6 +162,17 @@ impl File {
 }
 
 /// What SQLite could not do, with what its user can.
+/// Refuses pipes, devices and folders before SQLite opens them.
+fn is_file_if_there(path: &Path) -> Result<()> {
+    match path.metadata() {
+        Ok(found) if !found.is_file() => {
+            let what = if found.is_dir() { "a folder" } else { "no regular file" };
+            Err(Error::usage(format!("{} is {what}, and no history", path.display())).help("name another file"))
+        }
+        _ => Ok(()),
+    }
+}
+
 fn failed(path: &Path, error: &rusqlite::Error) -> Error {
     use rusqlite::ErrorCode::{
         CannotOpen, DatabaseBusy, DatabaseCorrupt, DiskFull, NotADatabase, PermissionDenied, ReadOnly, SystemIoFailure,

@@ -54,6 +54,7 @@
 //! parallel feature is off), because its results would otherwise depend on the number of cores.
 
 mod accumulate;
+mod channels;
 mod coverage;
 mod design;
 mod directions;
@@ -70,6 +71,7 @@ mod significance;
 mod vector;
 
 pub use accumulate::Accumulator;
+pub use channels::{Channel, ClippedEnd, InstrumentFault, clipped_ends, instrument_faults, repeats_are_copies};
 pub use coverage::{
     binomial_band, chi_squared_quantile, chi_squared_upper_tail, coverage_factor, effective_degrees_of_freedom,
     hotelling_quantile, hotelling_upper_tail, joint_coverage_factor, rectangular_coverage_factor,

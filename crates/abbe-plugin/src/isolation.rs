@@ -20,10 +20,13 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::{JoinHandle, ThreadId};
 use std::time::{Duration, Instant};
 
-use abbe_core::{Equations, Error, Origin, Poses, Result, RowBatch, RowIndex, Variable, from_json, harmless};
+use abbe_core::{
+    Equations, Error, Origin, PoseBatch, Poses, Result, RowBatch, RowIndex, Variable, from_json, harmless,
+};
 
 use crate::loader::{About, Create, Library, hashed};
 use crate::peer::{Answer, Failure, Peer, Received};
+use crate::questions::{check_poses, check_rows, guarded};
 use crate::sandbox::named;
 use crate::served::Served;
 use time::Time;
@@ -142,7 +145,7 @@ impl Connection {
             locked(&self.objects).served.remove(&object);
             return Ok(());
         }
-        match self.work(question, numbers) {
+        match guarded(|| self.work(question, numbers)) {
             Ok((frame, numbers)) => {
                 let lists: Vec<&[f64]> = numbers.iter().map(Vec::as_slice).collect();
                 wire.write(&frame, &lists, self.time.until(started))
@@ -164,8 +167,14 @@ impl Connection {
                 let [statuses, values, wanted] = wire::split(numbers, lengths).map_err(wrong)?;
                 let wanted: Vec<Variable> = wanted.iter().copied().map(wire::variable).collect();
                 let mut out = Poses::default();
-                self.object(object)?
-                    .machine(|machine| Ok(machine.poses(statuses, values, &wanted, orientation, &mut out)?))?;
+                self.object(object)?.machine(|machine| {
+                    let info = machine.info();
+                    let poses = check_poses(info, &PoseBatch { statuses, values, wanted: &wanted, orientation })?;
+                    if !wire::carries(poses, wanted.len()) {
+                        return Err(wrong("asks for more derivatives than a message has room for"));
+                    }
+                    Ok(machine.poses(statuses, values, &wanted, orientation, &mut out)?)
+                })?;
                 let lists = wire::poses_lists(&out);
                 Ok((Frame::Numbers { lengths: lists.iter().map(Vec::len).collect() }, lists))
             }
@@ -178,7 +187,9 @@ impl Connection {
                 let rows: Vec<RowIndex> = rows.iter().map(|&row| RowIndex(row as usize)).collect();
                 let (positions, orientations) = (wire::points(positions).0, wire::quaternions(orientations).0);
                 let mut out = Equations::default();
-                observations.evaluate(RowBatch { rows: &rows, positions, orientations, own, inputs }, &mut out)?;
+                let batch = RowBatch { rows: &rows, positions, orientations, own, inputs };
+                check_rows(observations.info(), &batch)?;
+                observations.evaluate(batch, &mut out)?;
                 let lists = wire::equation_lists(&out);
                 Ok((Frame::Numbers { lengths: lists.iter().map(Vec::len).collect() }, lists))
             }

@@ -26,6 +26,7 @@ mod loader;
 pub mod messages;
 mod peer;
 mod proxy;
+mod questions;
 #[cfg(feature = "host")]
 mod sandbox;
 #[cfg(feature = "sdk")]

@@ -13,6 +13,7 @@ use serde_json::Value;
 use crate::abi::*;
 use crate::peer::{Failure, Peer, Received};
 use crate::proxy;
+use crate::questions::check_tip;
 use crate::texts::{
     CheckText, FileText, FitText, InputText, JudgeText, MotionText, ObservationsText, ProblemText, TipText,
 };
@@ -153,6 +154,7 @@ fn of_observations(
         ABBE_DESCRIBE => write(ObservationsText::of(observations, given)),
         ABBE_CONTACT_TIP => {
             let question: TipText = read(text)?;
+            check_tip(observations.info(), &question)?;
             write(observations.contact_tip(question.row, question.tip, &question.own, &question.inputs)?)
         }
         _ => Err(no_method(method)),

@@ -12,7 +12,7 @@ use crate::peer::{Answer, Failure, Peer, Received};
 use crate::proxy;
 use crate::served::Served;
 
-pub use crate::isolation::trials::{list, message, messages};
+pub use crate::isolation::trials::{list, message, messages, question, questions};
 
 /// An object that answers every question with the same text, and with nothing where numbers are wanted.
 struct Says(String);

@@ -4,9 +4,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{
-    AxisKind, ColumnHeader, Dataset, Error, Evaluation, Fit, Quantity, Result, RowIndex, SetIndex, Values,
-};
+use abbe_core::{AxisKind, ColumnHeader, Dataset, Error, Fit, Quantity, Result, Values};
+use abbe_estimation::residual_rows;
 
 /// Residuals in the order of the equations.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -26,7 +25,7 @@ pub struct Residual {
     pub stage: String,
     /// File that the row stands in.
     pub file: String,
-    /// Line in the file.
+    /// Line in the file; 0 in a file that has no lines.
     pub line: usize,
     /// Number of the data row in the file, from 1.
     pub row: usize,
@@ -56,12 +55,12 @@ impl Residual {
 
     /// Where it was read, for people.
     pub fn place(&self) -> String {
-        format!("{}:{} (row {})", self.file, self.line, self.row)
+        match self.line {
+            0 => format!("{} (row {})", self.file, self.row),
+            line => format!("{}:{line} (row {})", self.file, self.row),
+        }
     }
 }
-
-/// Rows that are evaluated together.
-const CHUNK: usize = 256;
 
 /// Columns of the table that are always there.
 const FIXED: [&str; 15] = [
@@ -89,62 +88,32 @@ impl Residuals {
         let unit = |kind| if kind == AxisKind::Linear { "mm" } else { "deg" };
         let axes = info.axes.iter().map(|axis| (axis.name.clone(), unit(axis.kind).to_owned())).collect();
         let mut found = Self { labels: label_columns(fit), axes, rows: Vec::new() };
-        if fit.problem.sets.is_empty() {
-            return Ok(found);
-        }
-        let problem = fit.problem.starting_from(&fit.calibration);
-        let x = problem.values_of(&fit.calibration);
-        let (residuals, quantities) = (problem.residuals(&x)?, problem.quantities());
-        let problem = problem.with_values(&x);
-        let uncertainties = problem.standard_uncertainties();
-        let mut equation = 0;
-        let mut work = Evaluation::default();
-        for index in SetIndex::first(problem.sets.len()) {
-            let set = &problem.sets[index];
-            let (layout, data) = (&set.info().layout, &set.info().layout.data);
-            let times = data.numbers("time");
-            let columns = columns_of(data, &found.labels);
-            for rows in set.rows.chunks(CHUNK) {
-                problem.evaluate(index, rows, &[], &mut work)?;
-                let (mut pose, mut slope) = (0, 0);
-                for &row in rows {
-                    let its = &layout.rows[row];
-                    let first = its.poses > 0;
-                    let tip = first.then(|| work.poses.positions[pose]);
-                    pose += its.poses;
-                    for _ in 0..its.equations {
-                        let is_angle = quantities[abbe_core::EquationIndex(equation)] == Quantity::Angle;
-                        let factor = if is_angle { 1e6 } else { 1e3 };
-                        let (value, uncertainty) = (
-                            residuals[abbe_core::EquationIndex(equation)] * factor,
-                            uncertainties[abbe_core::EquationIndex(equation)] * factor,
-                        );
-                        equation += 1;
-                        let direction =
-                            work.equations.by_position().get(slope).filter(|_| first).copied().and_then(of_length_one);
-                        slope += its.poses;
-                        let Some(data_row) = its.data_row else { continue };
-                        let origin = data.origins[data_row];
-                        found.rows.push(Residual {
-                            stage: set.name.clone(),
-                            file: data.files[origin.file].display().to_string(),
-                            line: origin.line,
-                            row: origin.row,
-                            is_angle,
-                            value,
-                            uncertainty,
-                            time: times.map(|times| times[data_row]),
-                            tip,
-                            direction,
-                            labels: columns
-                                .iter()
-                                .map(|column| column.map_or(String::new(), |cells| cells[data_row].clone()))
-                                .collect(),
-                            commands: commands(fit, set.poses(), layout, row),
-                        });
-                    }
-                }
-            }
+        let factor = |kind| if kind == AxisKind::Linear { 1.0 } else { 180.0 / std::f64::consts::PI };
+        let factors: Vec<f64> = info.axes.iter().map(|axis| factor(axis.kind)).collect();
+        let columns: Vec<Vec<Option<&[String]>>> =
+            fit.problem.sets.iter().map(|set| columns_of(&set.info().layout.data, &found.labels)).collect();
+        for of_row in residual_rows(fit)? {
+            let set = &fit.problem.sets[of_row.set];
+            let data = &set.info().layout.data;
+            let origin = data.origins[of_row.data_row];
+            let factor = if of_row.is_angle { 1e6 } else { 1e3 };
+            found.rows.push(Residual {
+                stage: set.name.clone(),
+                file: data.files[origin.file].display().to_string(),
+                line: origin.line,
+                row: origin.row,
+                is_angle: of_row.is_angle,
+                value: of_row.value * factor,
+                uncertainty: of_row.uncertainty * factor,
+                time: data.numbers("time").map(|times| times[of_row.data_row]),
+                tip: of_row.tip,
+                direction: of_row.direction,
+                labels: columns[of_row.set.0]
+                    .iter()
+                    .map(|column| column.map_or(String::new(), |cells| cells[of_row.data_row].clone()))
+                    .collect(),
+                commands: of_row.commands.iter().zip(&factors).map(|(command, factor)| command * factor).collect(),
+            });
         }
         Ok(found)
     }
@@ -241,12 +210,6 @@ impl Residuals {
     }
 }
 
-/// A direction of length 1; none of what has no direction.
-fn of_length_one(slope: [f64; 3]) -> Option<[f64; 3]> {
-    let size = slope.iter().map(|part| part * part).sum::<f64>().sqrt();
-    (size > 0.0 && size.is_finite()).then(|| slope.map(|part| part / size))
-}
-
 /// A number with so many decimals; zero has no sign.
 fn fixed(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
@@ -284,15 +247,6 @@ fn columns_of<'a>(data: &'a Dataset, names: &[String]) -> Vec<Option<&'a [String
         }
     }
     names.iter().map(|name| columns.get(name.as_str()).copied()).collect()
-}
-
-/// The commands of the first pose of a row, mm or degrees.
-fn commands(fit: &Fit, poses: &abbe_core::PoseTable, layout: &abbe_core::Layout, row: RowIndex) -> Vec<f64> {
-    let axes = &fit.problem.model.info().axes;
-    let Some(pose) = layout.rows[row].pose_indices().next() else { return vec![f64::NAN; axes.len()] };
-    let status = poses.row(pose);
-    let unit = |kind| if kind == AxisKind::Linear { 1.0 } else { 180.0 / std::f64::consts::PI };
-    axes.iter().map(|axis| status[axis.status] * unit(axis.kind)).collect()
 }
 
 #[cfg(test)]

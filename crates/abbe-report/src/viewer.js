@@ -310,7 +310,7 @@ function view(box) {
     picked = index;
     const [stage, file] = [0, 1].map((k) => points.names[texts[2 * index + k]]);
     const [line, row] = lines.subarray(2 * index, 2 * index + 2);
-    part("picked").textContent = `${file}:${line} (row ${row}), ${stage}: residual ${values[index].toPrecision(4)} µm, ` +
+    part("picked").textContent = `${file}${line > 0 ? `:${line}` : ""} (row ${row}), ${stage}: residual ${values[index].toPrecision(4)} µm, ` +
       `${(over[index] / 100).toFixed(1)} of its uncertainty`;
     if (machine) send(index);
     repaint();

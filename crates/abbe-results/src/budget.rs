@@ -90,6 +90,18 @@ pub struct MonteCarlo {
     pub inputs: Vec<String>,
     /// One entry an estimated parameter.
     pub parameters: Vec<SimulatedParameter>,
+    /// The values of every trial, if they are kept. They are no part of the file of a calibration.
+    #[serde(skip)]
+    pub samples: Option<Samples>,
+}
+
+/// The values of the trials of a Monte Carlo calculation.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Samples {
+    /// Names and units of what varies: the unknowns first.
+    pub quantities: Vec<(String, String)>,
+    /// Trials x quantities, in the units used in memory, in the order of the trials; failed ones are left out.
+    pub values: Vec<f64>,
 }
 
 /// The distribution of one parameter, in its unit.

@@ -179,7 +179,7 @@ pub struct Outlier {
     pub stage: String,
     /// File that the row stands in.
     pub file: String,
-    /// Line in the file.
+    /// Line in the file; 0 in a file that has no lines.
     pub line: usize,
     /// Number of the data row in the file, from 1.
     pub row: usize,
@@ -187,6 +187,16 @@ pub struct Outlier {
     pub residual_um: f64,
     /// Its robust weight, 0 to 1.
     pub weight: f64,
+}
+
+impl Outlier {
+    /// Its file with the line, if the file has lines.
+    pub fn place(&self) -> String {
+        match self.line {
+            0 => self.file.clone(),
+            line => format!("{}:{line}", self.file),
+        }
+    }
 }
 
 /// Report of the fit.

@@ -12,7 +12,7 @@ mod limit;
 mod verdict;
 
 pub use budget::{
-    Contribution, Correlated, GumComparison, JointCoverage, MonteCarlo, ParameterBudget, SimulatedParameter,
+    Contribution, Correlated, GumComparison, JointCoverage, MonteCarlo, ParameterBudget, Samples, SimulatedParameter,
     UncertaintyBudget,
 };
 pub use covariance::NamedCovariance;

@@ -290,8 +290,33 @@ impl Unit {
 
     /// A number as it is written in this unit (with a decimal point), in the unit used in memory.
     pub(crate) fn read(self, written: &str) -> Option<f64> {
-        let value = if self.is_sexagesimal() { sexagesimal(written)? } else { written.parse().ok()? };
-        Some((value - self.zero) * self.factor)
+        Some(self.convert(if self.is_sexagesimal() { sexagesimal(written)? } else { written.parse().ok()? }))
+    }
+
+    /// A number of this unit in the unit used in memory.
+    pub(crate) fn convert(self, value: f64) -> f64 {
+        (value - self.zero) * self.factor
+    }
+
+    /// The unit of that symbol, whatever it is a unit of.
+    pub(crate) fn named(symbol: &str) -> Option<Self> {
+        UNITS.into_iter().find(|unit| unit.symbol == symbol)
+    }
+
+    /// Whether both are one unit, however they are written.
+    pub(crate) fn is_same(self, other: Self) -> bool {
+        (self.quantity, self.zero, self.factor, self.is_sexagesimal())
+            == (other.quantity, other.zero, other.factor, other.is_sexagesimal())
+    }
+
+    /// What it is a unit of.
+    pub(crate) fn quantity(self) -> Quantity {
+        self.quantity
+    }
+
+    /// The symbols of all units, for messages.
+    pub(crate) fn symbols() -> String {
+        UNITS.map(|unit| unit.symbol).join(", ")
     }
 }
 

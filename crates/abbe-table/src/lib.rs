@@ -4,8 +4,10 @@
 //! with `#` are comments, blank lines are skipped, white space around cells does not count, and lines may end in CRLF or CR.
 //! A cell may be quoted, but stays on its line, and has 64 KiB at most. What a column holds follows from its name
 //! ([`abbe_core::Quantity::of_column`]); numbers are converted to the unit used in memory. A [`Layout`] describes files of
-//! instruments and spreadsheets that are written otherwise: nothing of it is guessed.
+//! instruments and spreadsheets that are written otherwise: nothing of it is guessed. A file may be packed by gzip or
+//! Zstandard: its content decides, and lines are those of what is packed. Tables that come by columns ([`ColumnsOfFile`]) have the same meaning.
 
+mod columns;
 mod layout;
 mod number;
 mod parse;
@@ -23,6 +25,7 @@ use std::path::{Path, PathBuf};
 use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Quantity, Result, Values};
 
 pub use abbe_core::ranges::TEMPERATURES;
+pub use columns::{Cell, ColumnCells, ColumnsOfFile, Field, NamedColumns};
 pub use layout::{ColumnSource, Decimal, Encoding, Layout, Separator, Thousands, Unit};
 pub use number::{number, number_in};
 pub use rewrite::{Cells, with_cells, with_cells_laid_out, with_columns};
@@ -32,8 +35,8 @@ pub use survey::{Contents, Found, Jump, Likely, Summary, contents, likely};
 
 /// Reads the columns of a file, not its rows.
 pub fn read_headers(path: &Path) -> Result<Vec<ColumnHeader>> {
-    let file = abbe_files::open(path).map_err(|error| unreadable(path, &error))?;
-    parse::headers(path, BufReader::new(file))
+    let content = abbe_files::open_content(path).map_err(|error| unreadable(path, &error))?;
+    parse::headers(path, BufReader::new(content))
 }
 
 /// Reads a file.
@@ -69,7 +72,7 @@ pub fn read_text_in(path: &Path, encoding: Encoding) -> Result<String> {
 const PART: u64 = 1 << 20;
 
 pub(crate) fn bytes_of(path: &Path) -> Result<Vec<u8>> {
-    let mut file = abbe_files::open(path).map_err(|error| unreadable(path, &error))?;
+    let mut file = abbe_files::open_content(path).map_err(|error| unreadable(path, &error))?;
     let mut bytes = Vec::new();
     loop {
         let start = bytes.len();
@@ -87,7 +90,12 @@ pub fn parse(path: &Path, text: &[u8]) -> Result<Dataset> {
     Ok(parse::dataset(path, text, &Layout::default())?.0)
 }
 
-fn unreadable(path: &Path, error: &io::Error) -> Error {
+/// The error for a file that cannot be opened or read.
+pub fn unreadable(path: &Path, error: &io::Error) -> Error {
+    if abbe_files::is_of_packing(error) {
+        let help = "pack the table again, or unpack it to see what is there";
+        return Error::data(format!("the file cannot be read: {error}")).in_file(path).help(help);
+    }
     let message = match error.kind() {
         io::ErrorKind::NotFound => "there is no such file".to_owned(),
         _ => format!("the file cannot be read: {error}"),
@@ -168,8 +176,8 @@ pub fn unique_labels<'a>(data: &'a Dataset, name: &str) -> Result<BTreeMap<&'a s
     let mut rows = BTreeMap::new();
     for (row, label) in DataRow::enumerate(labels(data, name)?) {
         if let Some(first) = rows.insert(label.as_str(), row) {
-            let line = data.origins[first].line;
-            return Err(data.error_at(row, format!("{name} `{label}` is in line {line} already")));
+            let place = data.origins[first].in_words();
+            return Err(data.error_at(row, format!("{name} `{label}` is in {place} already")));
         }
     }
     Ok(rows)

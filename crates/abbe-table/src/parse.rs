@@ -20,7 +20,7 @@ const TWINS: &str = "give one of them another name in the file, or take columns 
                      the header row and `columns: { X_mm: 1 }`";
 
 /// Bytes of the longest cell: 64 KiB.
-const LONGEST_CELL: usize = 64 << 10;
+pub(crate) const LONGEST_CELL: usize = 64 << 10;
 
 /// The columns of a file. Only the part of the file that is needed is read.
 pub(crate) fn headers(path: &Path, mut reader: impl BufRead) -> Result<Vec<ColumnHeader>> {

@@ -60,6 +60,22 @@ pub struct Declared {
     pub columns: Option<BTreeMap<String, Source>>,
 }
 
+impl Default for Declared {
+    fn default() -> Self {
+        Self {
+            separator: Separator::default(),
+            decimal: Decimal::default(),
+            thousands: Thousands::default(),
+            encoding: Encoding::default(),
+            skip_lines: 0,
+            skip_after_header: 0,
+            header: true,
+            no_data: Vec::new(),
+            columns: None,
+        }
+    }
+}
+
 fn yes() -> bool {
     true
 }

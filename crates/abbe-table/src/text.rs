@@ -26,6 +26,15 @@ pub fn may_be_utf_16(bytes: &[u8]) -> bool {
         || (bytes.len() >= 4 && bytes[0] != 0 && bytes[1] == 0 && bytes[2] != 0 && bytes[3] == 0)
 }
 
+/// The format of a file that is a table by columns, and what reads it.
+fn of_columns(bytes: &[u8]) -> Option<(&'static str, &'static str)> {
+    match bytes {
+        [b'P', b'A', b'R', b'1', ..] => Some(("Parquet", "parquet")),
+        [b'A', b'R', b'R', b'O', b'W', b'1', 0, ..] => Some(("Arrow IPC", "arrow-ipc")),
+        _ => None,
+    }
+}
+
 /// The text of a file without byte order mark, in which every line ends in LF or CRLF.
 ///
 /// Fails for what is no text in this encoding, and for zero bytes.
@@ -35,6 +44,11 @@ pub fn text<'a>(path: &Path, bytes: &'a [u8], encoding: Encoding) -> Result<Cow<
         return Err(
             error.help("save it as UTF-8, or as UTF-16 with `encoding: utf-16` where it is read by `ingest: csv`")
         );
+    }
+    if let Some((format, plugin)) = of_columns(bytes) {
+        return Err(Error::data(format!("the file is a table in the format {format}, and no text"))
+            .in_file(path)
+            .help(format!("`ingest: {plugin}` reads it")));
     }
     let is_marked = OF_UTF_16.iter().any(|mark| bytes.starts_with(mark));
     match encoding {

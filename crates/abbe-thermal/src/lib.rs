@@ -23,6 +23,7 @@
 
 mod basis;
 mod beam;
+mod doubts;
 mod fit;
 mod fitted;
 mod log;
@@ -31,6 +32,7 @@ mod select;
 mod starts;
 
 pub use beam::{Beam, SectionDisplacement, Segment, TemperaturePlane};
+pub use doubts::{exchanged, in_another_unit};
 pub use fit::{Fitted, Output, Readings, Structure, fit};
 pub use fitted::{Bootstrap, Terms};
 pub use log::{

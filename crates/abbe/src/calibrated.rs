@@ -72,6 +72,7 @@ impl Asked {
     pub fn read(&self, registry: &Registry) -> Result<Known> {
         let file = &self.calibration;
         let calibration = read(file)?;
+        check_as_written(file)?;
         self.max_age_days.map_or(Ok(()), |most| check_age(file, most))?;
         let log = self.log.as_deref().map(|log| temperatures(&calibration, log)).transpose()?;
         if log.is_none() && !self.at_reference && follows_log(&calibration) {
@@ -128,11 +129,23 @@ fn days(text: &str) -> std::result::Result<f64, String> {
     days.ok_or_else(|| "a number of days above 0 was expected".to_owned())
 }
 
+/// The record of the run in whose folder a file lies.
+fn run_of(file: &Path) -> Option<RunRecord> {
+    let text = read_text(&file.with_file_name("run.json"), LARGEST_RESULT).ok()?;
+    RunRecord::from_json(&text).ok()
+}
+
+/// Refuses a calibration that was changed after its run.
+fn check_as_written(file: &Path) -> Result<()> {
+    let (Some(run), Some(name)) = (run_of(file), file.file_name()) else { return Ok(()) };
+    let folder = file.parent().unwrap_or(Path::new(""));
+    run.written_text(folder, &name.to_string_lossy()).map(drop)
+}
+
 /// Refuses a calibration of a run that is too old, or of which the time is not known.
 fn check_age(file: &Path, most: f64) -> Result<()> {
     let record = file.with_file_name("run.json");
-    let read = read_text(&record, LARGEST_RESULT).ok().and_then(|text| RunRecord::from_json(&text).ok());
-    let Some(run) = read else {
+    let Some(run) = run_of(file) else {
         let message = format!("how old the calibration is cannot be told without `{}`", record.display());
         return Err(Error::data(message).in_file(file));
     };

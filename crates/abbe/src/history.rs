@@ -177,9 +177,12 @@ fn entry(
     })
 }
 
+/// Most days from 1970-01-01 that a number means: the year 2243. `20260302` is no day, but a date without its lines.
+const FARTHEST_DAY: f64 = 1e5;
+
 /// A day from 1970-01-01: a number, or a date.
 fn day(text: &str) -> Result<f64> {
-    let number = text.parse().ok().filter(|day: &f64| day.is_finite());
+    let number = text.parse().ok().filter(|day: &f64| day.abs() <= FARTHEST_DAY);
     number.or_else(|| abbe_engine::day_of(text)).ok_or_else(|| {
         Error::usage(format!("`{text}` is no date: one as 2026-03-02 was expected, or the number of a day"))
     })
@@ -260,6 +263,8 @@ mod tests {
             assert_eq!(day(text).ok(), Some(number));
             assert_eq!(date_of(number), text);
         }
-        assert!(day("yesterday").is_err() && day("2026-13-01").is_err());
+        for wrong in ["yesterday", "2026-13-01", "2026-02-30", "20260302", "1e9"] {
+            assert!(day(wrong).is_err(), "{wrong}");
+        }
     }
 }

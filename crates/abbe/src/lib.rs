@@ -41,6 +41,7 @@ mod table;
 mod terminal;
 mod test;
 mod uncertainty_summary;
+mod written_out;
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};

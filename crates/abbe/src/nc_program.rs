@@ -1,15 +1,17 @@
 //! `abbe compensate --dialect`: NC programs, corrected and checked.
 
+use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Write};
+use std::io::{BufRead, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 use abbe_compensation::{Settings, Temperatures, check_confounded_anywhere};
 use abbe_controllers::{
     Checked, Coordinates, Dialect, Machine, Options, Summary, Tools, check, compensate, mark, place,
 };
-use abbe_core::{Calibration, Error, Registry, Result, machine_values};
+use abbe_core::{Calibration, Error, Quantity, Registry, Result, machine_values};
 use abbe_engine::{model_with_log, temporary_file};
 use abbe_files::{LARGEST_RESULT, read_text};
 use abbe_report::number::short;
@@ -19,6 +21,7 @@ use serde_json::json;
 use crate::calibrated::{Known, counted};
 use crate::interrupt;
 use crate::outputs::{cannot_be_written, is_file_name, is_free};
+use crate::written_out::{Origins, WrittenOut};
 
 /// Positions of axes by their place among letters; one value of an option.
 type Positions = Vec<(usize, f64)>;
@@ -63,6 +66,14 @@ pub struct ProgramOptions {
     /// the program names them.
     #[arg(long, value_enum, requires = "dialect", default_value = "moves")]
     tool_change: ToolChange,
+    /// What errors depend on and no program tells, as it is while the program runs: `load_N=3500`. The name is that of the data column,
+    /// with its unit. May be repeated.
+    #[arg(long, value_name = "NAME=VALUE", value_parser = constant, requires = "dialect", allow_hyphen_values = true)]
+    constant: Vec<(String, (Quantity, f64))>,
+    /// Let LinuxCNC's own interpreter, `rs274`, write out subprograms, loops, variables and cycles first. Comments are lost then, and
+    /// positions have 0.1 µm.
+    #[arg(long, requires = "dialect")]
+    write_out: bool,
     /// Read the corrected program again and tell the largest error that remains along its path. A file of `--out` that is there already
     /// is only checked.
     #[arg(long, requires = "dialect")]
@@ -130,6 +141,15 @@ fn offset(text: &str) -> std::result::Result<(usize, Positions), String> {
     Ok((system, positions(values)?))
 }
 
+/// `load_N=3500`: the name of a status, its quantity, and its value in the units of memory.
+fn constant(text: &str) -> std::result::Result<(String, (Quantity, f64)), String> {
+    let expected = || "the name of a column with its unit and a number were expected: `load_N=3500`".to_owned();
+    let (header, value) = text.split_once('=').ok_or_else(expected)?;
+    let value = value.trim().parse::<f64>().ok().filter(|value| value.is_finite()).ok_or_else(expected)?;
+    let (name, quantity, factor) = Quantity::of_column(header.trim());
+    Ok((name.to_owned(), (quantity, value * factor)))
+}
+
 /// A program to correct: what was asked, with the calibration.
 pub struct Asked<'a> {
     /// The options of programs.
@@ -150,6 +170,18 @@ impl ProgramOptions {
     /// Whether a program is to be corrected, and not set-points.
     pub fn is_program(&self) -> bool {
         self.dialect.is_some()
+    }
+
+    /// Refuses what LinuxCNC's interpreter cannot write out.
+    fn check_written_out(&self, options: &Options) -> Result<()> {
+        if self.write_out && options.dialect != Dialect::Linuxcnc {
+            return Err(Error::usage("only programs of LinuxCNC are written out: `--dialect linuxcnc`"));
+        }
+        if self.write_out && options.tolerance < 1e-4 {
+            let message = "LinuxCNC's interpreter writes positions with 0.1 µm, and the tolerance is less";
+            return Err(Error::usage(message).help("allow more: `--tolerance-um 0.2`"));
+        }
+        Ok(())
     }
 
     fn options(&self, program: &Path, calibration: String) -> Result<Options> {
@@ -190,6 +222,7 @@ impl Asked<'_> {
         let options = self.options.options(self.program, mark(text.as_bytes()))?;
         check_confounded_anywhere(known.model.as_ref(), &known.calibration, &BTreeMap::new())?;
         tell_tool(&known.calibration, &options);
+        self.options.check_written_out(&options)?;
         let build = |length: Option<f64>| self.machine(known, registry, length);
         let is_there = self.out.is_some_and(|out| out.symlink_metadata().is_ok());
         if self.options.check && self.out.is_none() {
@@ -201,8 +234,13 @@ impl Asked<'_> {
         };
         let checked = match (self.options.check, self.out) {
             (true, Some(out)) => {
-                let (mut source, mut corrected) = (opened(self.program)?, opened(out)?);
-                Some(check(&mut source, &mut corrected, &build, &options, out)?)
+                let (mut source, mut corrected) = (self.source(&options)?, opened(out)?);
+                let found = check(&mut source.reader, &mut corrected, &build, &options, out);
+                let mut checked = source.told(found, &options)?;
+                for worst in [&mut checked.path, &mut checked.rapid] {
+                    worst.of = source.line_of(worst.of);
+                }
+                Some(checked)
             }
             _ => None,
         };
@@ -221,9 +259,10 @@ impl Asked<'_> {
 
     /// Writes the corrected program whole or not at all.
     fn write(&self, build: &abbe_controllers::MachineOf<'_>, options: &Options) -> Result<Summary> {
-        let mut source = opened(self.program)?;
+        let mut source = self.source(options)?;
         let Some(out) = self.out else {
-            return compensate(&mut source, &mut std::io::sink(), build, options);
+            let summary = compensate(&mut source.reader, &mut std::io::sink(), build, options);
+            return source.told(summary, options).map(|summary| source.completed(summary));
         };
         is_file_name(out)?;
         is_free(out)?;
@@ -231,7 +270,8 @@ impl Asked<'_> {
         let failed = |error: std::io::Error| cannot_be_written(out, &error);
         let file = temporary_file(folder).map_err(failed)?;
         let mut writer = Remembering { into: BufWriter::new(file.as_file()), error: None };
-        let summary = compensate(&mut source, &mut writer, build, options)
+        let summary = compensate(&mut source.reader, &mut writer, build, options);
+        let summary = (source.told(summary, options).map(|summary| source.completed(summary)))
             .and_then(|summary| writer.flush().map(|()| summary).map_err(failed));
         // What cannot be written is told of the file, and not of the program.
         if let Some(error) = writer.error.take() {
@@ -246,6 +286,27 @@ impl Asked<'_> {
         Ok(summary)
     }
 
+    /// The program, as it is or as LinuxCNC's interpreter writes it out.
+    fn source(&self, options: &Options) -> Result<Source> {
+        if !self.options.write_out {
+            return Ok(Source { reader: Box::new(opened(self.program)?), origins: None, remarks: Vec::new() });
+        }
+        let written = WrittenOut::start(self.program, options)?;
+        let mut remarks = vec![format!(
+            "Written out by LinuxCNC's interpreter: comments are lost, positions have {} µm",
+            if written.has_inches { "2.54" } else { "0.1" }
+        )];
+        if written.has_inches && options.tolerance < 2.54e-3 {
+            let message = "LinuxCNC's interpreter writes inches with four decimals, 2.54 µm, and the tolerance is less";
+            return Err(Error::usage(message).help("allow more: `--tolerance-um 3`; or write the program in mm"));
+        }
+        if !written.has_unit {
+            remarks.push("Neither G20 nor G21 stands in the program; numbers count as mm".to_owned());
+        }
+        let origins = Some(written.origins());
+        Ok(Source { reader: Box::new(BufReader::new(written)), origins, remarks })
+    }
+
     fn machine(&self, known: &Known, registry: &Registry, length: Option<f64>) -> Result<Machine> {
         let own = known.calibration.model.settings.get("tool_length_mm").and_then(serde_json::Value::as_f64);
         let model = match length {
@@ -257,7 +318,9 @@ impl Asked<'_> {
             _ => known.model.clone(),
         };
         let values = machine_values(model.as_ref(), &known.calibration);
-        Machine::new(model, values, self.settings.clone(), length.or(own).unwrap_or(0.0), known.time)
+        let constants: BTreeMap<String, (Quantity, f64)> = self.options.constant.iter().cloned().collect();
+        let length = length.or(own).unwrap_or(0.0);
+        Machine::with_constants(model, values, self.settings.clone(), length, known.time, &constants)
     }
 
     fn text(&self, summary: Option<&Summary>, checked: Option<&Checked>, options: &Options) -> String {
@@ -304,6 +367,41 @@ impl Asked<'_> {
             text.push_str(&checked_text(checked, options));
         }
         text
+    }
+}
+
+/// A program that is read.
+struct Source {
+    reader: Box<dyn BufRead>,
+    /// Where its lines come from, if they are written out.
+    origins: Option<Rc<RefCell<Origins>>>,
+    remarks: Vec<String>,
+}
+
+impl Source {
+    /// The line of the file from which a line comes.
+    fn line_of(&self, line: usize) -> usize {
+        self.origins.as_ref().and_then(|origins| origins.borrow().line_of(line)).unwrap_or(line)
+    }
+
+    /// Errors are those of the file, and not of what was written out.
+    fn told<T>(&self, result: Result<T>, options: &Options) -> Result<T> {
+        let Some(origins) = &self.origins else { return result };
+        if let Some(error) = origins.borrow_mut().failed() {
+            return Err(error);
+        }
+        result.map_err(|mut error| {
+            if let Some(place) = error.place.as_mut().filter(|place| place.file == options.file) {
+                (place.line, place.column) = (place.line.map(|line| self.line_of(line)), None);
+            }
+            error
+        })
+    }
+
+    fn completed(&self, mut summary: Summary) -> Summary {
+        summary.remaining_line = self.line_of(summary.remaining_line);
+        summary.remarks.extend(self.remarks.iter().cloned());
+        summary
     }
 }
 

@@ -165,7 +165,7 @@ fn outliers(fits: &[Fit]) -> Option<String> {
         }
     }
     let lines = rows.iter().map(|(outlier, listed)| {
-        format!("  {} row {} ({}:{}): {}\n", outlier.stage, outlier.row, outlier.file, outlier.line, listed.join(", "))
+        format!("  {} row {} ({}): {}\n", outlier.stage, outlier.row, outlier.place(), listed.join(", "))
     });
     let text: String = lines.collect();
     (!text.is_empty()).then(|| section("Outliers, off by", &text))

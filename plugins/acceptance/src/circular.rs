@@ -13,7 +13,8 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::common::{
-    Acceptance, Judge, Key, Limits, Sheet, check_limits, directions, doubted, finite, names, run_name, too_quiet,
+    Acceptance, Judge, Key, Limits, Sheet, check_limits, directions, doubted, faults, finite, names, run_name,
+    too_quiet, undecided,
 };
 
 abbe_core::register!(
@@ -132,6 +133,8 @@ impl Circular {
         findings.remarks.extend(self.turned(data, &run)?);
         let readings = finite(data, &self.reading, Quantity::Length)?;
         findings.remarks.extend(doubted(&run, &[readings]));
+        let faults = faults(&[(&self.reading, readings)], 1e-3 * self.standard_uncertainty_um, (1e3, "um"));
+        findings.remarks.extend(faults.iter().map(|fault| format!("{run}: {fault}")));
         let um: Vec<f64> = readings.iter().map(|value| 1e3 * value).collect();
         findings.remarks.extend(too_quiet(&run, &um, self.standard_uncertainty_um, "um"));
         let traces = [self.trace(data, true)?, self.trace(data, false)?];
@@ -149,7 +152,9 @@ impl Circular {
         if let Some(both) = &both {
             self.both(both, &mut sheet);
         }
-        findings.figures.extend(sheet.finish(&KEYS));
+        let mut figures = sheet.finish(&KEYS);
+        undecided(&mut figures, &faults);
+        findings.figures.extend(figures);
         self.polar(&run, &traces, both.as_ref(), findings);
         Ok(())
     }

@@ -11,7 +11,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Acceptance, Judge, doubted, figure, finite, run_name};
+use crate::common::{Acceptance, Judge, copied_repeats, doubted, figure, finite, run_name, undecided};
 
 abbe_core::register!(
     Validate,
@@ -137,6 +137,19 @@ fn misplaced(run: &str, data: &Dataset, all: &[Measured]) -> Option<String> {
     ))
 }
 
+/// The largest decimal part of a millimetre, of which all of these are multiples: the step of their digits.
+fn digit(values: impl Iterator<Item = f64> + Clone) -> f64 {
+    let is_of = |digit: &f64| values.clone().all(|value| (value / digit - (value / digit).round()).abs() < 1e-4);
+    (0..9).map(|place| 0.1_f64.powi(place)).find(is_of).unwrap_or(1e-9)
+}
+
+/// Errors of the values of each length in steps of their digits: calibrated lengths have finer digits than a CMM.
+fn in_digits(all: &[Measured], sets: &[Set]) -> Vec<Vec<f64>> {
+    let digit = digit(all.iter().map(|value| value.measured));
+    let of = |set: &Set| set.places.iter().map(|place| (all[*place].error() / digit).round()).collect();
+    sets.iter().map(of).collect()
+}
+
 impl Lengths {
     fn permissible(&self) -> Permissible {
         Permissible {
@@ -181,8 +194,13 @@ impl Lengths {
             return Err(Error::data(message).setting("from"));
         }
         let errors: Vec<f64> = all.iter().map(Measured::error).collect();
-        findings.remarks.extend(doubted(&run, &[&errors]));
+        let doubted = doubted(&run, &[&errors]);
+        let copied: Vec<String> =
+            copied_repeats("lengths", &in_digits(&all, &sets)).filter(|_| doubted.is_none()).into_iter().collect();
+        findings.remarks.extend(doubted);
+        findings.remarks.extend(copied.iter().map(|copied| format!("{run}: {copied}")));
         findings.remarks.extend(misplaced(&run, data, &all));
+        let first = findings.figures.len();
         let symbol = format!("E_{}", self.stylus_beside_mm);
         let named = |name: &str| format!("{name}[{run}]");
         let errors = || all.iter().map(|value| 1e3 * value.error());
@@ -211,6 +229,7 @@ impl Lengths {
             }
         }
         self.repeatability(&run, &sets, findings);
+        undecided(&mut findings.figures[first..], &copied);
         self.plan(&run, &sets, findings);
         Ok(())
     }

@@ -9,7 +9,9 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Acceptance, Judge, Key, Limits, Sheet, check_limits, doubted, finite, names, run_name};
+use crate::common::{
+    Acceptance, Judge, Key, Limits, Sheet, check_limits, copied_points, doubted, finite, names, run_name, undecided,
+};
 
 abbe_core::register!(
     Validate,
@@ -84,7 +86,12 @@ impl Probing {
         let (run, all) = (run_name(data), points(data)?);
         let columns = ["x", "y", "z"].map(|axis| finite(data, axis, Quantity::Length));
         let [x, y, z] = columns;
-        findings.remarks.extend(doubted(&run, &[x?, y?, z?]));
+        let doubted = doubted(&run, &[x?, y?, z?]);
+        let copied = copied_points("stylus", &all);
+        if doubted.is_none() {
+            findings.remarks.extend(copied.iter().map(|copied| format!("{run}: {copied}")));
+        }
+        findings.remarks.extend(doubted);
         for (label, points) in all.iter().filter(|(_, points)| points.len() != POINTS) {
             let text = format!("{run}: stylus {label} has {} points; the test has {POINTS}", points.len());
             findings.remarks.push(text);
@@ -114,7 +121,9 @@ impl Probing {
         } else {
             findings.remarks.push(format!("{run}: there are no two other styli: P_FTM, P_STM and P_LTM are absent"));
         }
-        findings.figures.extend(sheet.finish(&KEYS));
+        let mut figures = sheet.finish(&KEYS);
+        undecided(&mut figures, &copied);
+        findings.figures.extend(figures);
         Ok(())
     }
 }

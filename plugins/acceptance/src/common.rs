@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use abbe_core::{
     DataRow, Dataset, Error, Figure, Findings, Fit, Limit, PathItem, Quantity, Result, SettingsError, Validate,
 };
+use abbe_numerics::{Channel, instrument_faults, repeats_are_copies};
 
 /// Limits by key.
 pub type Limits = BTreeMap<String, Limit>;
@@ -173,6 +174,52 @@ pub fn doubted(run: &str, columns: &[&[f64]]) -> Option<String> {
             copied.len()
         )
     })
+}
+
+/// Faults of the instrument that its readings tell, each a sentence: columns that were read in the same rows, by name, in a unit of which
+/// `people` has the factor to that of people. `uncertainty` is the standard uncertainty of a reading; zero if it is not stated.
+pub fn faults(columns: &[(&str, &[f64])], uncertainty: f64, people: (f64, &str)) -> Vec<String> {
+    let channels: Vec<Channel<'_>> = columns.iter().map(|(name, readings)| Channel { name, readings }).collect();
+    let found = instrument_faults(&channels, (uncertainty > 0.0).then_some(uncertainty));
+    found.iter().map(|fault| fault.describe(&channels, people)).collect()
+}
+
+/// A sentence on repeats, group by group, that are copies of one reading.
+pub fn copied_repeats(what: &str, groups: &[Vec<f64>]) -> Option<String> {
+    let count = groups.iter().filter(|group| group.len() > 1).count();
+    repeats_are_copies(groups).then(|| {
+        format!(
+            "the repeats of nearly all {count} {what} are the same to the last digit, and these differ: are they copies of one reading? \
+             Then repeatability is not that of the machine"
+        )
+    })
+}
+
+/// Points of one label that are no points of another by chance.
+const POINTS: usize = 5;
+
+/// Sentences on points, by label, that those of an earlier label have to the last digit.
+pub fn copied_points(what: &str, all: &[(&str, Vec<[f64; 3]>)]) -> Vec<String> {
+    let copied = |(place, (label, points)): (usize, &(&str, Vec<[f64; 3]>))| {
+        let same = |others: &Vec<[f64; 3]>| points.iter().filter(|point| others.contains(point)).count();
+        let earlier = all[..place].iter().map(|(other, others)| (other, same(others)));
+        let (other, count) = earlier.max_by_key(|(_, count)| *count).filter(|(_, count)| *count >= POINTS)?;
+        Some(format!(
+            "{count} points of {what} {label} are those of {what} {other} to the last digit: are they copies, or was it measured twice \
+             with the same one?"
+        ))
+    };
+    all.iter().enumerate().filter_map(copied).collect()
+}
+
+/// Takes the decision from figures that have a limit: readings that nobody should believe keep no limit. What exceeds it fails all the same.
+pub fn undecided(figures: &mut [Figure], why: &[String]) {
+    let Some(why) = why.first() else { return };
+    for figure in figures.iter_mut().filter(|figure| figure.inconclusive.is_none() && figure.passes()) {
+        if figure.limit.is_some() {
+            figure.inconclusive = Some(why.clone());
+        }
+    }
 }
 
 /// A remark on readings that range over less than the standard uncertainty that is stated for one: both in one unit, `unit`.

@@ -12,7 +12,9 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Acceptance, Judge, Key, Limits, Sheet, check_limits, finite, names, no_data, run_name};
+use crate::common::{
+    Acceptance, Judge, Key, Limits, Sheet, check_limits, doubted, finite, names, no_data, run_name, undecided,
+};
 use crate::positioning::{Uncertainty, values, words};
 use crate::targets::Readings;
 
@@ -67,6 +69,8 @@ struct Measured {
     found: Positioning,
     /// Standard uncertainties of E and B.
     uncertainties: [Option<f64>; 2],
+    /// Faults of its readings.
+    doubts: Vec<String>,
 }
 
 /// The way of a diagonal, from the axes of its rows. All rows have to be on it, as far along as `position` says.
@@ -107,6 +111,10 @@ impl Diagonals {
             return Err(error.help("`validate: positioning` is for single axes"));
         };
         let found = Positioning::of(&readings.targets);
+        let copied = doubted(&run, &[&readings.in_order]);
+        let doubts = readings.faults(copied.is_some());
+        findings.remarks.extend(copied);
+        findings.remarks.extend(doubts.iter().map(|doubt| format!("{run}: {doubt}")));
         findings.remarks.extend(self.uncertainty.and_then(|stated| stated.quiet(&readings)));
         let terms = self.uncertainty.and_then(|stated| stated.terms(&readings));
         let expanded = terms.and_then(|terms| terms.expanded(readings.runs()));
@@ -121,12 +129,14 @@ impl Diagonals {
         if let Some(slope) = found.slope() {
             sheet.tell("slope", 1e3 * slope, "um/m");
         }
-        findings.figures.extend(sheet.finish(&EACH));
+        let mut figures = sheet.finish(&EACH);
+        undecided(&mut figures, &doubts);
+        findings.figures.extend(figures);
         let told = faults(Axis::Linear, &readings.targets).into_iter();
         let told = told.filter(|fault| matches!(fault, Fault::OneDirection | Fault::MissingRuns(_)));
         findings.remarks.extend(told.map(|fault| format!("{run}: {}", words(&fault, Axis::Linear))));
         let uncertainties = [expanded.map(|own| 0.5 * own.systematic), expanded.map(|own| 0.5 * own.reversal)];
-        Ok(Measured { diagonal, kind, found, uncertainties })
+        Ok(Measured { diagonal, kind, found, uncertainties, doubts })
     }
 
     /// E_d and B_d: the largest of all body and of all face diagonals.
@@ -144,7 +154,9 @@ impl Diagonals {
                 sheet.limit(symbol, value, uncertainty, key);
             }
         }
-        findings.figures.extend(sheet.finish(&ALL[..2]));
+        let mut figures = sheet.finish(&ALL[..2]);
+        all.iter().for_each(|own| undecided(&mut figures, &own.doubts));
+        findings.figures.extend(figures);
     }
 
     /// Squareness of each face that has both diagonals.
@@ -179,7 +191,9 @@ impl Diagonals {
                     "face {face}: squareness needs one diagonal of either sort over the same travels, and it is absent"
                 )),
             }
-            findings.figures.extend(sheet.finish(&ALL[2..]));
+            let mut figures = sheet.finish(&ALL[2..]);
+            same.iter().chain(&opposite).for_each(|own| undecided(&mut figures, &own.doubts));
+            findings.figures.extend(figures);
         }
         if !found && self.limits.contains_key(ALL[2].0) {
             findings.figures.extend(Sheet::new("no face", &self.limits).finish(&ALL[2..]));

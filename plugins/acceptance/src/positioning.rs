@@ -12,7 +12,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Acceptance, Judge, Limits, check_limits, doubted, figure, quieter_than};
+use crate::common::{Acceptance, Judge, Limits, check_limits, doubted, figure, quieter_than, undecided};
 use crate::targets::Readings;
 
 abbe_core::register!(
@@ -175,9 +175,14 @@ impl Acceptance for Settings {
         }
         for data in data {
             let readings = Readings::of(data)?;
-            findings.remarks.extend(doubted(&readings.name, &[&readings.in_order]));
+            let copied = doubted(&readings.name, &[&readings.in_order]);
+            let faults = readings.faults(copied.is_some());
+            findings.remarks.extend(copied);
+            findings.remarks.extend(faults.iter().map(|fault| format!("{}: {fault}", readings.name)));
             findings.remarks.extend(self.uncertainty.and_then(|stated| stated.quiet(&readings)));
+            let first = findings.figures.len();
             self.judge(&readings, &mut findings);
+            undecided(&mut findings.figures[first..], &faults);
         }
         self.absent(&mut findings.figures);
         Ok(findings)

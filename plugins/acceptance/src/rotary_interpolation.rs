@@ -9,7 +9,8 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::common::{
-    Acceptance, Judge, Key, Limits, Sheet, check_limits, directions, doubted, finite, names, run_name, too_quiet,
+    Acceptance, Judge, Key, Limits, Sheet, check_limits, directions, doubted, faults, finite, names, run_name,
+    too_quiet, undecided,
 };
 
 abbe_core::register!(
@@ -145,6 +146,10 @@ impl Rotary {
             return Err(Error::data(format!("{run}: there is no reading to judge")).setting("from"));
         }
         findings.remarks.extend(doubted(&run, &columns));
+        let named: Vec<(&str, &[f64])> =
+            self.readings.iter().map(String::as_str).zip(columns.iter().copied()).collect();
+        let faults = faults(&named, 1e-3 * self.standard_uncertainty_um, (1e3, "um"));
+        findings.remarks.extend(faults.iter().map(|fault| format!("{run}: {fault}")));
         let um: Vec<f64> = columns.iter().flat_map(|column| column.iter().map(|value| 1e3 * value)).collect();
         findings.remarks.extend(too_quiet(&run, &um, self.standard_uncertainty_um, "um"));
         let lacking = self.lacking(angles, &ways);
@@ -181,7 +186,9 @@ impl Rotary {
                 }
             }
         }
-        findings.figures.extend(sheet.finish(&KEYS));
+        let mut figures = sheet.finish(&KEYS);
+        undecided(&mut figures, &faults);
+        findings.figures.extend(figures);
         Ok(())
     }
 }

@@ -6,7 +6,7 @@ use abbe_core::{DataRow, Dataset, Error, Quantity, Result};
 use abbe_standards::positioning::Target;
 use abbe_standards::positioning::plan::Axis;
 
-use crate::common::{directions, finite, no_data, run_name};
+use crate::common::{copied_repeats, directions, faults, finite, no_data, run_name};
 
 /// Positions that are no farther apart are one target: mm or degrees.
 const SAME: f64 = 1e-3;
@@ -73,6 +73,15 @@ impl Readings {
         }
         let in_order = readings.iter().map(|reading| reading * factor).collect();
         Ok(Self { name: run_name(data), axis, unit, targets, in_order })
+    }
+
+    /// Faults of the instrument, and repeats that are copies where these were not told already.
+    pub fn faults(&self, is_told: bool) -> Vec<String> {
+        let found = faults(&[("reading", &self.in_order)], 0.0, (1.0, self.unit));
+        let groups: Vec<Vec<f64>> =
+            self.targets.iter().flat_map(|target| [target.up.clone(), target.down.clone()]).collect();
+        let copied = copied_repeats("targets", &groups).filter(|_| !is_told && found.is_empty());
+        found.into_iter().chain(copied).collect()
     }
 
     /// Distance of the first and the last target, mm or degrees.

@@ -21,6 +21,7 @@ use abbe_core::{
     Label, Layout, Observations, ObservationsInfo, Parameter, PathItem, Quantity, Result, SettingsError, Target, Unit,
     not_negative, plain_naming, pose_columns, positive,
 };
+use abbe_dcc::CertifiedLength;
 use abbe_probe::EffectiveRadius;
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -129,9 +130,57 @@ struct Distance {
     /// The two balls.
     between: [Label; 2],
     /// Distance of their centres.
-    length_mm: f64,
+    #[serde(default)]
+    length_mm: Option<f64>,
     /// Its standard uncertainty.
-    standard_uncertainty_um: f64,
+    #[serde(default)]
+    standard_uncertainty_um: Option<f64>,
+    /// The digital calibration certificate that states both, in their place.
+    #[serde(default)]
+    certificate: Option<CertifiedLength>,
+}
+
+impl Distance {
+    /// Fails unless it is given by numbers or by a certificate, whose file is found.
+    fn check(&mut self, context: &Context) -> Result<(), SettingsError> {
+        match (&mut self.certificate, self.length_mm, self.standard_uncertainty_um) {
+            (None, Some(length), Some(uncertainty)) => {
+                positive("length_mm", length)?;
+                positive("standard_uncertainty_um", uncertainty)?;
+            }
+            (Some(certificate), None, None) => {
+                let under = |error: SettingsError| error.under([PathItem::Key("certificate".to_owned())]);
+                certificate.resolve(context).map_err(under)?;
+            }
+            (None, ..) => {
+                let message = "`length_mm` and `standard_uncertainty_um` were expected, or `certificate`";
+                return Err(SettingsError::new("", message));
+            }
+            (Some(_), ..) => {
+                let error = SettingsError::new("certificate", "it states the length and its uncertainty");
+                return Err(error.help("leave out `length_mm` and `standard_uncertainty_um`"));
+            }
+        }
+        if self.between[0] == self.between[1] {
+            return Err(SettingsError::new("between", "two different balls were expected"));
+        }
+        Ok(())
+    }
+
+    /// The distance as a known input.
+    fn input(&self) -> Result<KnownInput> {
+        let [from, to] = &self.between;
+        let name = format!("length[{}-{}]", from.0, to.0);
+        if let Some(certificate) = &self.certificate {
+            return certificate.input_of(&name);
+        }
+        // Settings without a certificate have both numbers.
+        let length = self.length_mm.unwrap_or_default();
+        let uncertainty = self.standard_uncertainty_um.unwrap_or_default() * 1e-3;
+        let content = format!("distance of balls {} and {}: {length:e} mm, u = {uncertainty:e} mm", from.0, to.0);
+        let parameter = Parameter::new(&name, Unit::MM);
+        Ok(KnownInput::new(parameter, length, uncertainty).with_certificate(name, content))
+    }
 }
 
 fn example() -> Value {
@@ -142,7 +191,7 @@ fn example() -> Value {
     })
 }
 
-fn build(settings: Settings, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
+fn build(mut settings: Settings, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
     not_negative("stylus_radius_standard_uncertainty_um", settings.stylus_radius_standard_uncertainty_um)?;
     if settings.centres_by.is_some() && settings.rows == Rows::Centres {
@@ -166,18 +215,16 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Artefact>, Set
             return Err(SettingsError::new(setting, "this belongs to touches, and centres are observed here"));
         }
     }
-    size::check(&settings.diameters)?;
+    size::check(&mut settings.diameters, context)?;
     let form = Form::read(&settings.form)?;
-    for (index, distance) in settings.distances.iter().enumerate() {
+    for index in 0..settings.distances.len() {
         let at = |error: SettingsError| error.under([PathItem::Key("distances".to_owned()), PathItem::Index(index)]);
-        positive("length_mm", distance.length_mm).map_err(at)?;
-        positive("standard_uncertainty_um", distance.standard_uncertainty_um).map_err(at)?;
-        if distance.between[0] == distance.between[1] {
-            return Err(at(SettingsError::new("between", "two different balls were expected")));
-        }
+        let (earlier, rest) = settings.distances.split_at_mut(index);
+        let distance = &mut rest[0];
+        distance.check(context).map_err(at)?;
         let [one, other] = &distance.between;
         let same = |earlier: &Distance| earlier.between.contains(one) && earlier.between.contains(other);
-        if settings.distances[..index].iter().any(same) {
+        if earlier.iter().any(same) {
             return Err(at(SettingsError::new("between", "the distance of these balls stands here a second time")));
         }
     }
@@ -227,6 +274,12 @@ impl Balls {
 }
 
 impl Balls {
+    /// The certificates of diameters and distances.
+    fn certificates(&self) -> impl Iterator<Item = &CertifiedLength> {
+        let diameters = self.settings.diameters.iter().filter_map(|diameter| diameter.certificate.as_ref());
+        diameters.chain(self.settings.distances.iter().filter_map(|distance| distance.certificate.as_ref()))
+    }
+
     /// Whether a row of the equations is one touch.
     fn touches_are_rows(&self) -> bool {
         self.settings.centres_by.is_none() && self.settings.rows == Rows::Touches
@@ -269,11 +322,13 @@ impl Balls {
 
 impl Artefact for Balls {
     fn inputs(&self) -> Vec<InputFile> {
-        vec![InputFile { setting: "nominal", path: self.nominal.clone() }]
+        let nominal = InputFile { setting: "nominal", path: self.nominal.clone() };
+        [nominal].into_iter().chain(self.certificates().map(CertifiedLength::input)).collect()
     }
 
     fn check(&self, headers: &[ColumnHeader], file: Option<&PathBuf>, model: &dyn KinematicModel) -> Result<()> {
         pose_columns(headers, file, model, &plain_naming)?;
+        self.certificates().try_for_each(CertifiedLength::tell)?;
         if self.touches_are_rows() {
             abbe_probe::check_columns(headers, file, model)?;
         }
@@ -344,12 +399,9 @@ impl Artefact for Balls {
                 return Err(Error::data(message).setting("distances"));
             }
             distances.push((one, other));
-            let (length, uncertainty) = (distance.length_mm, distance.standard_uncertainty_um * 1e-3);
-            layout.push_constraint(&[uncertainty]);
-            let name = format!("length[{}-{}]", from.0, to.0);
-            let content = format!("distance of balls {} and {}: {length:e} mm, u = {uncertainty:e} mm", from.0, to.0);
-            let parameter = Parameter::new(&name, Unit::MM);
-            quantities.inputs.push(KnownInput::new(parameter, length, uncertainty).with_certificate(name, content));
+            let input = distance.input()?;
+            layout.push_constraint(&[input.standard_uncertainty]);
+            quantities.inputs.push(input);
         }
         let rows = if self.settings.centres_by.is_some() { Rows::Centres } else { self.settings.rows };
         let labels: Vec<(&str, f64)> = balls.iter().map(|ball| (ball.label.as_str(), 2.0 * ball.radius)).collect();

@@ -12,6 +12,7 @@ use abbe_core::{
     Observations, ObservationsInfo, Quantity, Result, RowBatch, RowIndex, SettingsError, Target, not_negative,
     plain_naming, pose_columns, positive,
 };
+use abbe_dcc::CertifiedLength;
 use abbe_probe::EffectiveRadius;
 use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
@@ -55,10 +56,10 @@ fn example() -> Value {
     })
 }
 
-fn build(settings: Settings, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
+fn build(mut settings: Settings, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
     not_negative("stylus_radius_standard_uncertainty_um", settings.stylus_radius_standard_uncertainty_um)?;
-    size::check(&settings.diameters)?;
+    size::check(&mut settings.diameters, context)?;
     Ok(Box::new(Rings { nominal: context.path(&settings.nominal), settings }))
 }
 
@@ -137,13 +138,22 @@ impl Rings {
     }
 }
 
+impl Rings {
+    /// The certificates of diameters.
+    fn certificates(&self) -> impl Iterator<Item = &CertifiedLength> {
+        self.settings.diameters.iter().filter_map(|diameter| diameter.certificate.as_ref())
+    }
+}
+
 impl Artefact for Rings {
     fn inputs(&self) -> Vec<InputFile> {
-        vec![InputFile { setting: "nominal", path: self.nominal.clone() }]
+        let nominal = InputFile { setting: "nominal", path: self.nominal.clone() };
+        [nominal].into_iter().chain(self.certificates().map(CertifiedLength::input)).collect()
     }
 
     fn check(&self, headers: &[ColumnHeader], file: Option<&PathBuf>, model: &dyn KinematicModel) -> Result<()> {
         pose_columns(headers, file, model, &plain_naming)?;
+        self.certificates().try_for_each(CertifiedLength::tell)?;
         abbe_probe::check_columns(headers, file, model)?;
         abbe_table::require(headers, file, &[("feature", Quantity::Label)])?;
         let nominal = abbe_table::read_headers(&self.nominal)?;

@@ -1,9 +1,10 @@
 //! Sizes of features: nominal, or a diameter that a certificate states, that is estimated, or both.
 
 use abbe_core::{
-    Equations, Error, KnownInput, Label, Layout, Parameter, ParameterRole, PathItem, Result, SettingsError, Unit,
-    positive,
+    Context, Equations, Error, KnownInput, Label, Layout, Parameter, ParameterRole, PathItem, Result, SettingsError,
+    Unit, positive,
 };
+use abbe_dcc::CertifiedLength;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -16,25 +17,38 @@ pub struct Diameter {
     /// Standard uncertainty of the diameter in the nominal file, from its certificate.
     #[serde(default)]
     pub standard_uncertainty_um: Option<f64>,
+    /// The digital calibration certificate of the ball or ring: its diameter with its uncertainty, in place of those of the
+    /// nominal file and of `standard_uncertainty_um`.
+    #[serde(default)]
+    pub certificate: Option<CertifiedLength>,
     /// Estimate the diameter, with what the certificate says of it as an observation.
     #[serde(default)]
     pub estimated: bool,
 }
 
-/// Checks the settings `diameters`.
-pub fn check(diameters: &[Diameter]) -> Result<(), SettingsError> {
-    for (index, diameter) in diameters.iter().enumerate() {
+/// Checks the settings `diameters`, and finds the files that they name.
+pub fn check(diameters: &mut [Diameter], context: &Context) -> Result<(), SettingsError> {
+    for index in 0..diameters.len() {
+        let (earlier, rest) = diameters.split_at_mut(index);
+        let diameter = &mut rest[0];
         let at = |error: SettingsError| error.under([PathItem::Key("diameters".to_owned()), PathItem::Index(index)]);
+        if let Some(certificate) = &mut diameter.certificate {
+            if diameter.standard_uncertainty_um.is_some() {
+                let error = SettingsError::new("standard_uncertainty_um", "the certificate states it");
+                return Err(at(error.help("leave it out")));
+            }
+            certificate.resolve(context).map_err(|error| at(error.under([PathItem::Key("certificate".to_owned())])))?;
+        }
         match diameter.standard_uncertainty_um {
             Some(uncertainty) => drop(positive("standard_uncertainty_um", uncertainty).map_err(at)?),
-            None if diameter.estimated => {}
+            None if diameter.estimated || diameter.certificate.is_some() => {}
             None => {
                 let message = "a diameter that is known without uncertainty is that of the nominal file already";
                 let help = "write `standard_uncertainty_um` of its certificate, or `estimated: true`, or leave it out";
                 return Err(at(SettingsError::new("", message).help(help)));
             }
         }
-        if diameters[..index].iter().any(|other| other.feature == diameter.feature) {
+        if earlier.iter().any(|other| other.feature == diameter.feature) {
             return Err(at(SettingsError::new("feature", "this diameter stands here a second time")));
         }
     }
@@ -74,6 +88,11 @@ impl Size {
             Self::Certified(input) => out.input(input, by_radius / 2.0),
         }
     }
+}
+
+/// Whether a certified size can be that of a feature with this nominal size: within 1 %.
+fn is_nominal(certified: f64, nominal: f64) -> bool {
+    (certified - nominal).abs() <= 0.01 * nominal
 }
 
 /// Unknowns and inputs of some observations while they are put together.
@@ -135,13 +154,30 @@ pub fn sizes(
             ];
             return Err(error);
         };
-        let nominal = features[place].1;
+        let certified = diameter.certificate.as_ref().map(CertifiedLength::length).transpose()?;
+        let nominal = certified.map_or(features[place].1, |(length, _)| length);
+        if !is_nominal(nominal, features[place].1) {
+            let message = format!(
+                "the certificate states {nominal} mm as diameter of {kind} {label}, whose nominal diameter is {} mm",
+                features[place].1
+            );
+            return Err(Error::data(message).setting("diameters").help("is it the certificate of another feature?"));
+        }
         let unknown = diameter.estimated.then(|| quantities.unknown(format!("{kind}[{label}].diameter"), nominal));
-        let input = diameter.standard_uncertainty_um.map(|uncertainty| {
-            let (name, uncertainty) = (format!("diameter[{label}]"), uncertainty * 1e-3);
-            let content = format!("diameter of {kind} {label}: {nominal:e} mm, u = {uncertainty:e} mm");
-            let input = KnownInput::new(Parameter::new(&name, Unit::MM), nominal, uncertainty);
-            quantities.inputs.push(input.with_certificate(name, content));
+        let name = format!("diameter[{label}]");
+        let input = match (&diameter.certificate, diameter.standard_uncertainty_um) {
+            (Some(certificate), _) => Some(certificate.input_of(&name)?),
+            (None, Some(uncertainty_um)) => {
+                let uncertainty = uncertainty_um * 1e-3;
+                let content = format!("diameter of {kind} {label}: {nominal:e} mm, u = {uncertainty:e} mm");
+                let input = KnownInput::new(Parameter::new(&name, Unit::MM), nominal, uncertainty);
+                Some(input.with_certificate(name, content))
+            }
+            (None, None) => None,
+        };
+        let input = input.map(|input| {
+            let uncertainty = input.standard_uncertainty;
+            quantities.inputs.push(input);
             (quantities.inputs.len() - 1, uncertainty)
         });
         sizes[place] = match (unknown, input) {

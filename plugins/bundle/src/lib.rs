@@ -11,6 +11,7 @@ use abbe_balls as _;
 use abbe_calibrated_points as _;
 use abbe_calibrations as _;
 use abbe_certificate as _;
+use abbe_columnar as _;
 use abbe_control_parameters as _;
 use abbe_direct as _;
 use abbe_exporters as _;

@@ -6,6 +6,7 @@
 //! (Viprey et al. 2019, section 3). Placements are known as far as they are not chosen as unknowns; errors of the calibration
 //! are known inputs that all measurements share.
 
+mod calibrated;
 mod placement;
 
 use std::collections::BTreeMap;
@@ -13,15 +14,17 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, InputFile, KinematicModel, KnownInput,
-    Layout, ListedBy, Observations, ObservationsInfo, Parameter, Quantity, Result, RowBatch, RowIndex, SettingsError,
-    Target, Unit, not_negative, plain_naming, pose_columns, positive,
+    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, InputFile, KinematicModel, Layout, ListedBy,
+    Observations, ObservationsInfo, Parameter, Quantity, Result, RowBatch, RowIndex, SettingsError, Target, Unit,
+    not_negative, plain_naming, pose_columns, positive,
 };
+use abbe_dcc::CertificateFile;
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use calibrated::Source;
 use placement::Placement;
 
 abbe_core::register!(
@@ -39,8 +42,13 @@ abbe_core::register!(
 #[serde(deny_unknown_fields)]
 struct Settings {
     /// CSV file of the calibrated points in the artefact's own frame: point, x_mm, y_mm, z_mm; a plate
-    /// without z_mm is plane.
-    points: String,
+    /// without z_mm is plane. Either this or `certificate`.
+    #[serde(default)]
+    points: Option<String>,
+    /// The digital calibration certificate of the artefact: its points with their covariance, in place of `points` and
+    /// `calibration_standard_uncertainty_um`.
+    #[serde(default)]
+    certificate: Option<CertificateFile>,
     /// The column of the point's label, there and in the data.
     #[serde(default = "default_point")]
     point: String,
@@ -95,13 +103,14 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Artefact>, Set
     if settings.name.is_empty() || settings.name.contains(['[', ']', '*', '?']) {
         return Err(SettingsError::new("name", "a name without brackets and wildcards was expected"));
     }
-    let (points, placements) = (context.path(&settings.points), context.path(&settings.placements));
+    let points = Source::new(&settings, context)?;
+    let placements = context.path(&settings.placements);
     Ok(Box::new(CalibratedPoints { settings, points, placements }))
 }
 
 struct CalibratedPoints {
     settings: Settings,
-    points: PathBuf,
+    points: Source,
     placements: PathBuf,
 }
 
@@ -118,20 +127,6 @@ impl<T> Labelled<T> {
 }
 
 impl CalibratedPoints {
-    fn read_points(&self) -> Result<Labelled<Vector3<f64>>> {
-        let table = abbe_table::read(&self.points)?;
-        abbe_table::unique_labels(&table, &self.settings.point)?;
-        let labels = abbe_table::labels(&table, &self.settings.point)?.to_vec();
-        let points = match table.column("z") {
-            Some(_) => abbe_table::points(&table, ["x", "y", "z"])?,
-            None => {
-                let along = |name| abbe_table::numbers(&table, name, Quantity::Length);
-                along("x")?.iter().zip(along("y")?).map(|(x, y)| [*x, *y, 0.0]).collect()
-            }
-        };
-        Ok(Labelled { labels, items: points.into_iter().map(Vector3::from).collect() })
-    }
-
     fn read_placements(&self) -> Result<Labelled<Placement>> {
         let table = abbe_table::read(&self.placements)?;
         abbe_table::unique_labels(&table, &self.settings.placement)?;
@@ -194,10 +189,7 @@ fn measured(data: &Dataset) -> Result<Vec<Vec<usize>>> {
 
 impl Artefact for CalibratedPoints {
     fn inputs(&self) -> Vec<InputFile> {
-        vec![
-            InputFile { setting: "points", path: self.points.clone() },
-            InputFile { setting: "placements", path: self.placements.clone() },
-        ]
+        vec![self.points.input(), InputFile { setting: "placements", path: self.placements.clone() }]
     }
 
     fn check(&self, headers: &[ColumnHeader], file: Option<&PathBuf>, model: &dyn KinematicModel) -> Result<()> {
@@ -205,21 +197,17 @@ impl Artefact for CalibratedPoints {
         abbe_table::require(headers, file, &[(&self.settings.point, Quantity::Label)])?;
         let lengths = ["x", "y", "z"].map(|name| (name, Quantity::Length));
         let directions = ["ux", "uy", "uz", "vx", "vy", "vz"].map(|name| (name, Quantity::Ratio));
-        let headers_of_points = abbe_table::read_headers(&self.points)?;
-        let planar = !headers_of_points.iter().any(|header| header.name == "z");
-        let points =
-            [&[(self.settings.point.as_str(), Quantity::Label)], &lengths[..if planar { 2 } else { 3 }]].concat();
-        abbe_table::require(&headers_of_points, Some(&self.points), &points)?;
+        self.points.check(&self.settings.point)?;
         let placed = [&[(self.settings.placement.as_str(), Quantity::Label)], &lengths[..], &directions].concat();
         abbe_table::require(&abbe_table::read_headers(&self.placements)?, Some(&self.placements), &placed)
     }
 
     fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
-        let (points, placements) = (self.read_points()?, self.read_placements()?);
-        let known = points.index();
+        let (points, placements) = (self.points.read(&self.settings)?, self.read_placements()?);
+        let known = points.places();
         let labels = abbe_table::labels(data, &self.settings.point)?;
         let of_rows: Vec<Option<usize>> = labels.iter().map(|label| known.get(label.as_str()).copied()).collect();
-        let touched = abbe_table::touched(&of_rows, &self.points)?;
+        let touched = abbe_table::touched(&of_rows, self.points.file())?;
         let (placed, directions) = (self.placement_of_rows(data, &placements)?, measured(data)?);
 
         let mut layout = Layout::new(data, model, &[&plain_naming])?;
@@ -242,34 +230,22 @@ impl Artefact for CalibratedPoints {
                 named(format!("{name}[{label}].{own}"), if error < 3 { Quantity::Length } else { Quantity::Angle })
             })
         });
-        let inputs = touched.features.iter().flat_map(|&point| {
-            let label = &points.labels[point];
-            let uncertainty = self.settings.calibration_standard_uncertainty_um * 1e-3;
-            let [x, y, z] = <[f64; 3]>::from(points.items[point]);
-            let content = format!("point {label}: {x:e}, {y:e}, {z:e} mm, u = {uncertainty:e} mm");
-            ERRORS[..3].iter().map(move |own| {
-                // Added to the calibrated coordinate: zero unless the calibration is off.
-                let parameter = named(format!("point[{label}].{own}"), Quantity::Length);
-                let quantity = parameter.name.clone();
-                KnownInput::new(parameter, 0.0, uncertainty).with_certificate(quantity, &content)
-            })
-        });
-        let info = ObservationsInfo {
-            inputs: inputs.collect(),
-            ..ObservationsInfo::new(layout, unknowns.collect(), Contact::LinearAxes)
-        };
+        let (inputs, errors) = points.errors(&touched.features);
+        let info =
+            ObservationsInfo { inputs, ..ObservationsInfo::new(layout, unknowns.collect(), Contact::LinearAxes) };
         Ok(Arc::new(Measured {
             info,
-            points: touched.features.iter().map(|&point| points.items[point]).collect(),
+            points: touched.features.iter().map(|&point| points.points[point]).collect(),
+            errors,
             placements: used.iter().map(|&placement| placements.items[placement].clone()).collect(),
             rows,
         }))
     }
 
     fn targets(&self, _: f64) -> Result<Vec<Target>> {
-        let (points, placements) = (self.read_points()?, self.read_placements()?);
+        let (points, placements) = (self.points.read(&self.settings)?, self.read_placements()?);
         let placed = placements.items.iter().flat_map(|placement| {
-            let points = points.labels.iter().zip(&points.items);
+            let points = points.labels.iter().zip(&points.points);
             points.map(|(label, point)| Target {
                 feature: label.clone(),
                 tip: placement.place(point, &[0.0; 6]).into(),
@@ -294,6 +270,8 @@ impl ListedBy<RowIndex> for Measurement {}
 struct Measured {
     info: ObservationsInfo,
     points: Vec<Vector3<f64>>,
+    /// The inputs that make the error of each coordinate of these, with their derivatives.
+    errors: Vec<[Vec<(usize, f64)>; 3]>,
     placements: Vec<Placement>,
     rows: Vec<Measurement>,
 }
@@ -301,7 +279,9 @@ struct Measured {
 impl Measured {
     /// The calibrated point of a measurement, with the errors of the calibration.
     fn point(&self, measurement: &Measurement, inputs: &[f64]) -> Vector3<f64> {
-        self.points[measurement.point] + Vector3::from_column_slice(&inputs[3 * measurement.point..][..3])
+        let errors = &self.errors[measurement.point];
+        let error = |along: usize| errors[along].iter().map(|(input, factor)| inputs[*input] * factor).sum::<f64>();
+        self.points[measurement.point] + Vector3::new(error(0), error(1), error(2))
     }
 }
 
@@ -323,7 +303,8 @@ impl Observations for Measured {
                 for (error, derivative) in seen.by_error.row(direction).iter().enumerate() {
                     out.own(first + error, *derivative);
                 }
-                out.input(3 * measurement.point + direction, -1.0);
+                let errors = &self.errors[measurement.point][direction];
+                errors.iter().for_each(|(input, factor)| out.input(*input, -factor));
             }
         }
         Ok(())

@@ -29,8 +29,12 @@ fn observed(points: &str, placements: &str, data: &str) -> Result<Arc<dyn Observ
     for (name, text) in [("points.csv", points), ("placements.csv", placements), ("data.csv", data)] {
         fs::write(folder.path().join(name), text).unwrap();
     }
-    let settings = json!({ "points": "points.csv", "placements": "placements.csv", "standard_uncertainty_um": 1,
+    let mut settings = json!({ "points": "points.csv", "placements": "placements.csv", "standard_uncertainty_um": 1,
         "calibration_standard_uncertainty_um": 0.2 });
+    if points.starts_with('<') {
+        settings = json!({ "certificate": { "path": "points.csv", "item": 7 }, "placements": "placements.csv",
+            "standard_uncertainty_um": 1 });
+    }
     let artefact =
         build(abbe_core::from_settings(&settings).unwrap(), &Context { base: folder.path().to_owned() }).unwrap();
     let data = Arc::new(abbe_table::read(&folder.path().join("data.csv")).unwrap());
@@ -49,6 +53,90 @@ fn names_are_those_of_placements_and_points_that_occur() {
     assert_eq!(observed.info().inputs[4].parameter.name, "point[1].y");
     assert_eq!(observed.info().inputs[4].standard_uncertainty, 2e-4);
     assert_eq!(observed.info().layout.standard_uncertainties.len(), 3 + 2 + 1 + 3);
+}
+
+/// The points of [`POINTS`] in a certificate; `more` stands behind the units.
+fn certificate(more: &str) -> String {
+    let labels = "0.x 0.y 0.z 1.x 1.y 1.z 2.x 2.y 2.z";
+    format!(
+        r#"<d:digitalCalibrationCertificate xmlns:d="https://ptb.de/dcc" xmlns:s="https://ptb.de/si" schemaVersion="3.3.0">
+<d:administrativeData><d:coreData><d:uniqueIdentifier>P-1</d:uniqueIdentifier></d:coreData><d:items><d:item><d:identifications>
+<d:identification><d:value>7</d:value></d:identification></d:identifications></d:item></d:items></d:administrativeData>
+<d:measurementResults><d:measurementResult><d:results><d:result><d:data><d:quantity><s:realListXMLList>
+<s:labelXMLList>{labels}</s:labelXMLList><s:valueXMLList>0 0 0 50.01 -0.002 0.004 100.02 0.003 -0.01</s:valueXMLList>
+<s:unitXMLList>\milli\metre</s:unitXMLList>{more}</s:realListXMLList></d:quantity></d:data></d:result></d:results>
+</d:measurementResult></d:measurementResults></d:digitalCalibrationCertificate>"#
+    )
+}
+
+/// Without covariance a certificate is what a table is; with one, residuals follow the inputs by c, and c u² c^T is the covariance.
+#[test]
+fn a_certificate_gives_points_with_their_covariance() {
+    let expanded = "<s:expandedUncXMLList><s:uncertaintyXMLList>0.0004</s:uncertaintyXMLList><s:coverageFactorXMLList>2\
+        </s:coverageFactorXMLList></s:expandedUncXMLList>";
+    let table = observed(POINTS, PLACEMENTS, DATA).unwrap();
+    let certified = observed(&certificate(expanded), PLACEMENTS, DATA).unwrap();
+    let names = |observed: &Arc<dyn Observations>| -> Vec<(String, f64)> {
+        let inputs = observed.info().inputs.iter();
+        inputs.map(|input| (input.parameter.name.clone(), input.standard_uncertainty)).collect()
+    };
+    assert_eq!(names(&table), names(&certified));
+
+    let q = [0.0, 0.0, 0.0, 50.01, -0.002, 0.004, 100.02, 0.003, -0.01];
+    let covariance = |row: usize, column: usize| 1e-12 * q[row] * q[column] + if row == column { 1e-8 } else { 0.0 };
+    let column = |column: usize| {
+        let entries: Vec<String> = (0..9).map(|row| format!("{:e}", covariance(row, column))).collect();
+        format!(
+            "<s:columnXMLList><s:covarianceXMLList><s:valueXMLList>{}</s:valueXMLList><s:unitXMLList>\\milli\\metre\\tothe{{2}}\
+            </s:unitXMLList></s:covarianceXMLList></s:columnXMLList>",
+            entries.join(" ")
+        )
+    };
+    let columns: String = (0..9).map(column).collect();
+    let joint = format!("<s:covarianceMatrixXMLList>{columns}</s:covarianceMatrixXMLList>");
+    let certified = observed(&certificate(&joint), PLACEMENTS, DATA).unwrap();
+    let info = certified.info();
+    let (own, rows) = (vec![0.0; info.unknowns.len()], [RowIndex(0), RowIndex(1), RowIndex(3)]);
+    let residuals = |inputs: &[f64]| {
+        let mut out = Equations::default();
+        let batch = RowBatch {
+            rows: &rows,
+            positions: &[[-30.0, 20.0, -50.0], [20.0, 20.0, -50.0], [45.0, -20.0, -45.0]],
+            orientations: &[],
+            own: &own,
+            inputs,
+        };
+        certified.evaluate(batch, &mut out).unwrap();
+        out
+    };
+    let zero = vec![0.0; info.inputs.len()];
+    let found = residuals(&zero);
+    let count = found.residuals().len();
+    assert_eq!(count, 3 + 2 + 3);
+    // Derivatives as stated and by differences; then the covariance of the coordinates that each equation has.
+    let mut by_input = vec![vec![0.0; zero.len()]; count];
+    found.by_input().iter().for_each(|&(equation, input, derivative)| by_input[equation][input] += derivative);
+    for input in 0..zero.len() {
+        let mut moved = zero.clone();
+        moved[input] = 1e-3;
+        for (equation, residual) in residuals(&moved).residuals().iter().enumerate() {
+            let difference = (residual - found.residuals()[equation]) / 1e-3;
+            assert!((difference - by_input[equation][input]).abs() < 1e-8, "{equation} {input}");
+        }
+    }
+    let coordinates = [0, 1, 2, 3, 5, 3, 4, 5];
+    for (one, of_one) in coordinates.iter().enumerate() {
+        for (other, of_other) in coordinates.iter().enumerate() {
+            let inputs = info.inputs.iter().enumerate();
+            let propagated: f64 = inputs
+                .map(|(k, input)| by_input[one][k] * by_input[other][k] * input.standard_uncertainty.powi(2))
+                .sum();
+            let expected = covariance(*of_one, *of_other);
+            assert!((propagated - expected).abs() < 1e-12 * 1e-8, "{one} {other}: {propagated} {expected}");
+        }
+    }
+    let error = observed(&certificate("").replace(">7<", ">8<"), PLACEMENTS, DATA).err().unwrap();
+    assert!(error.contains("the item `7` was expected"), "{error}");
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Estimator plugin `stated`: what a report states of a machine, such as that of a laser interferometer, or a truth.
 //!
-//! Values with a standard uncertainty count as estimated and independent of each other; those without one are exact. A
+//! Values with a standard uncertainty count as estimated, and as independent of each other unless a certificate states their covariance;
+//! those without one are exact. A
 //! parameter that is not stated keeps its nominal value without an uncertainty.
 
 use std::collections::BTreeMap;
@@ -10,6 +11,7 @@ use abbe_core::{
     Calibration, Context, DataRow, Dataset, Error, Estimate, EstimateSource, FitReport, Identifiability, InputFile,
     PathItem, Problem, Result, SettingsError, Unit, matches,
 };
+use abbe_dcc::{CertificateFile, DigitalCertificate, ValueIndex};
 use abbe_estimation::calibration;
 use abbe_files::{LARGEST_RESULT, read_text};
 use schemars::JsonSchema;
@@ -35,6 +37,10 @@ struct Settings {
     /// file with `parameters` and perhaps `standard_uncertainties` by name, in mm and rad.
     #[serde(default)]
     path: Option<String>,
+    /// A digital calibration certificate of the machine, such as `export: dcc` writes: the values that it labels with names of
+    /// parameters, with their covariance. `item` is the serial number of the machine.
+    #[serde(default)]
+    certificate: Option<CertificateFile>,
     /// The stated values, by the name of the parameter.
     #[serde(default)]
     values: BTreeMap<String, Stated>,
@@ -61,9 +67,11 @@ fn example() -> Value {
 }
 
 fn build(settings: Settings, context: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
-    if settings.path.is_none() && settings.values.is_empty() {
-        return Err(SettingsError::new("", "`path` or `values` was expected: what is stated?"));
+    if settings.path.is_none() && settings.certificate.is_none() && settings.values.is_empty() {
+        return Err(SettingsError::new("", "`path`, `certificate` or `values` was expected: what is stated?"));
     }
+    let certificate = settings.certificate.as_ref().map(|certificate| certificate.path(context)).transpose();
+    let certificate = certificate.map_err(|error| error.under([PathItem::Key("certificate".to_owned())]))?;
     for (name, stated) in &settings.values {
         let at = |error: SettingsError| error.under(["values", name].map(|key| PathItem::Key(key.to_owned())));
         if !(stated.standard_uncertainty >= 0.0 && stated.standard_uncertainty.is_finite()) {
@@ -73,11 +81,13 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Estimate>, Set
             return Err(at(SettingsError::new("value", "a finite number was expected")));
         }
     }
-    Ok(Box::new(Statement { path: settings.path.as_ref().map(|path| context.path(path)), settings }))
+    Ok(Box::new(Statement { path: settings.path.as_ref().map(|path| context.path(path)), certificate, settings }))
 }
 
 struct Statement {
     path: Option<PathBuf>,
+    /// The file of the certificate.
+    certificate: Option<PathBuf>,
     settings: Settings,
 }
 
@@ -86,6 +96,8 @@ struct Entry {
     name: String,
     value: f64,
     standard_uncertainty: f64,
+    /// Its value in the certificate, if it is from there.
+    certified: Option<ValueIndex>,
     /// The place of an error about it in messages.
     place: Box<dyn Fn(String) -> Error>,
 }
@@ -112,12 +124,15 @@ fn factor(stated: &str, unit: Unit) -> Option<f64> {
 
 impl Statement {
     /// Everything that is stated of the parameters of a problem.
-    fn entries(&self, problem: &Problem) -> Result<Vec<Entry>> {
+    fn entries(&self, problem: &Problem, certificate: Option<&DigitalCertificate>) -> Result<Vec<Entry>> {
         let mut entries = match &self.path {
             None => Vec::new(),
             Some(path) if path.extension().is_some_and(|extension| extension == "json") => of_json(path)?,
             Some(path) => self.of_table(path, problem)?,
         };
+        if let Some(certificate) = certificate {
+            entries.extend(self.of_certificate(certificate, problem)?);
+        }
         for (name, stated) in &self.settings.values {
             let at = |message: String, key: &str| {
                 let mut error = Error::usage(message);
@@ -136,7 +151,13 @@ impl Statement {
             let unit = self.unit(name, problem).map_err(&place)?;
             let factor = factor(&stated.unit, unit).ok_or_else(|| at(wrong_unit(name, &stated.unit, unit), "unit"))?;
             let (value, standard_uncertainty) = (stated.value * factor, stated.standard_uncertainty * factor);
-            entries.push(Entry { name: name.clone(), value, standard_uncertainty, place: Box::new(place) });
+            entries.push(Entry {
+                name: name.clone(),
+                value,
+                standard_uncertainty,
+                certified: None,
+                place: Box::new(place),
+            });
         }
         Ok(entries)
     }
@@ -166,9 +187,33 @@ impl Statement {
             };
             let (file, line) = (path.to_owned(), table.origins[row].line);
             let place = Box::new(move |message: String| Error::data(message).at(&file, line, None));
-            entries.push(Entry { name: name.clone(), value, standard_uncertainty, place });
+            entries.push(Entry { name: name.clone(), value, standard_uncertainty, certified: None, place });
         }
         Ok(entries)
+    }
+
+    /// The certificate, if there is one.
+    fn read(&self) -> Result<Option<DigitalCertificate>> {
+        let file = self.certificate.as_ref().zip(self.settings.certificate.as_ref());
+        let certificate = file.map(|(path, settings)| DigitalCertificate::read(path, settings)).transpose()?;
+        if let Some(certificate) = &certificate {
+            certificate.tell();
+        }
+        Ok(certificate)
+    }
+
+    /// The values of a certificate.
+    fn of_certificate(&self, certificate: &DigitalCertificate, problem: &Problem) -> Result<Vec<Entry>> {
+        let entry = |name: &str| {
+            let file = certificate.file.clone();
+            let place = move |message: String| Error::data(message).in_file(&file);
+            let unit = self.unit(name, problem).map_err(&place)?;
+            let index = certificate.of_unit(name, unit)?;
+            let (value, standard_uncertainty) = (certificate.value(index), certificate.standard_uncertainty(index));
+            let name = name.to_owned();
+            Ok(Entry { name, value, standard_uncertainty, certified: Some(index), place: Box::new(place) })
+        };
+        certificate.labels().filter(|name| !self.ignores(name)).map(entry).collect()
     }
 
     fn ignores(&self, name: &str) -> bool {
@@ -177,9 +222,12 @@ impl Statement {
 
     fn calibration(&self, problem: &Problem) -> Result<Calibration> {
         let mut problem = problem.clone();
-        let mut uncertain: BTreeMap<String, f64> = BTreeMap::new();
+        let certificate = self.read()?;
+        let mut uncertain: BTreeMap<String, (f64, Option<ValueIndex>)> = BTreeMap::new();
         let mut seen: Vec<String> = Vec::new();
-        for Entry { name, value, standard_uncertainty, place } in self.entries(&problem)? {
+        for Entry { name, value, standard_uncertainty, certified, place } in
+            self.entries(&problem, certificate.as_ref())?
+        {
             if self.ignores(&name) {
                 continue;
             }
@@ -196,15 +244,22 @@ impl Statement {
             }
             problem.machine_values[index] = value;
             if standard_uncertainty > 0.0 {
-                uncertain.insert(name.clone(), standard_uncertainty);
+                uncertain.insert(name.clone(), (standard_uncertainty, certified));
             }
             seen.push(name);
         }
         let problem = problem.without_unknowns(|unknown| !uncertain.contains_key(&unknown.name));
         let (x, count) = (problem.start(), problem.unknowns.len());
+        let stated = |unknown: usize| uncertain[&problem.unknowns[unknown].name];
+        let joint = |row: usize, column: usize| {
+            certificate
+                .as_ref()
+                .zip(stated(row).1.zip(stated(column).1))
+                .map_or(0.0, |(certificate, (one, other))| certificate.covariance(one, other))
+        };
         let variance = |row: usize, column: usize| match row == column {
-            true => uncertain[&problem.unknowns[row].name].powi(2),
-            false => 0.0,
+            true => stated(row).0.powi(2),
+            false => joint(row, column),
         };
         let covariance = (0..count).map(|row| (0..count).map(|column| variance(row, column)).collect()).collect();
         Ok(calibration(&problem, &x, covariance, Vec::new(), FitReport::without_rows(count)))
@@ -257,14 +312,15 @@ fn of_json(path: &Path) -> Result<Vec<Entry>> {
     }
     let entry = |(name, value): (String, f64)| {
         let standard_uncertainty = uncertainties.get(&name).copied().unwrap_or(0.0);
-        Entry { name, value, standard_uncertainty, place: Box::new(wrong.clone()) }
+        Entry { name, value, standard_uncertainty, certified: None, place: Box::new(wrong.clone()) }
     };
     Ok(values.into_iter().map(entry).collect())
 }
 
 impl Estimate for Statement {
     fn inputs(&self) -> Vec<InputFile> {
-        self.path.iter().map(|path| InputFile { setting: "path", path: path.clone() }).collect()
+        let file = |setting: &'static str, path: &Option<PathBuf>| path.clone().map(|path| InputFile { setting, path });
+        file("path", &self.path).into_iter().chain(file("certificate", &self.certificate)).collect()
     }
 
     fn estimate(&self, problem: &Problem) -> Result<Calibration> {

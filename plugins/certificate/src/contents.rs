@@ -1,4 +1,4 @@
-//! The elements of a certificate, in the order of the schema DCC 3.2.1.
+//! The elements of a certificate, in the order of the schemas DCC 3.2.1 and 3.3.0.
 
 use abbe_core::{Calibration, Error, Estimated, Result};
 use abbe_numerics::{coverage_factor, joint_coverage_factor};
@@ -6,10 +6,8 @@ use abbe_numerics::{coverage_factor, joint_coverage_factor};
 use crate::conformity::{self, Statement};
 use crate::element::Element;
 use crate::settings::{Condition, Contact, Settings};
-use crate::units::{dsi, product};
-
-/// The version of the schema.
-const SCHEMA: &str = "3.2.1";
+use crate::uncertainty::{Stated, listed};
+use crate::units::dsi;
 
 /// The document.
 ///
@@ -22,38 +20,43 @@ pub fn certificate(settings: &Settings, calibration: &Calibration, certified: &[
             Element::of("dcc:measurementResults", vec![measurement(settings, calibration, certified)?]),
         ],
     );
+    let version = settings.version.word();
     let root = root
-        .with("schemaVersion", SCHEMA)
+        .with("schemaVersion", version)
         .with("xmlns:dcc", "https://ptb.de/dcc")
         .with("xmlns:si", "https://ptb.de/si")
         .with("xmlns:xsi", "http://www.w3.org/2001/XMLSchema-instance")
-        .with("xsi:schemaLocation", "https://ptb.de/dcc https://ptb.de/dcc/v3.2.1/dcc.xsd");
+        .with("xsi:schemaLocation", &format!("https://ptb.de/dcc https://ptb.de/dcc/v{version}/dcc.xsd"));
     root.document().map_err(|error| Error::data(format!("the certificate cannot be written as XML: {error}")))
 }
 
 /// Who, what, when and where.
 fn administrative(settings: &Settings) -> Element {
+    let day = |name: &str, day: &Option<String>| day.as_ref().map(|day| Element::text(name, day));
     let core = Element::of(
         "dcc:coreData",
-        vec![
-            Element::text("dcc:countryCodeISO3166_1", &settings.country),
-            Element::text("dcc:usedLangCodeISO639_1", "en"),
-            Element::text("dcc:mandatoryLangCodeISO639_1", "en"),
-            Element::text("dcc:uniqueIdentifier", &settings.identifier),
-            Element::text("dcc:beginPerformanceDate", &settings.begin),
-            Element::text("dcc:endPerformanceDate", &settings.end),
-            Element::text("dcc:performanceLocation", settings.place.word()),
-        ],
+        [
+            Some(Element::text("dcc:countryCodeISO3166_1", &settings.country)),
+            Some(Element::text("dcc:usedLangCodeISO639_1", "en")),
+            Some(Element::text("dcc:mandatoryLangCodeISO639_1", "en")),
+            Some(Element::text("dcc:uniqueIdentifier", &settings.identifier)),
+            day("dcc:receiptDate", &settings.received),
+            Some(Element::text("dcc:beginPerformanceDate", &settings.begin)),
+            Some(Element::text("dcc:endPerformanceDate", &settings.end)),
+            Some(Element::text("dcc:performanceLocation", settings.place.word())),
+            day("dcc:issueDate", &settings.issued),
+        ]
+        .into_iter()
+        .flatten()
+        .collect(),
     );
-    let item = Element::of(
-        "dcc:item",
-        vec![
-            named("dcc:name", &settings.item.name),
-            Element::of("dcc:manufacturer", vec![named("dcc:name", &settings.item.manufacturer)]),
-            Element::text("dcc:model", &settings.item.model),
-            identified("manufacturer", &settings.item.serial_number),
-        ],
-    );
+    let condition = settings.item.condition.as_ref().map(|text| described(&format!("Condition: {text}")));
+    let item = [named("dcc:name", &settings.item.name)].into_iter().chain(condition).chain([
+        Element::of("dcc:manufacturer", vec![named("dcc:name", &settings.item.manufacturer)]),
+        Element::text("dcc:model", &settings.item.model),
+        identified("manufacturer", &settings.item.serial_number),
+    ]);
+    let item = Element::of("dcc:item", item.collect());
     let person = |(index, person): (usize, &crate::settings::Person)| {
         let mut elements = vec![
             Element::of("dcc:person", vec![named("dcc:name", &person.name)]),
@@ -85,22 +88,32 @@ fn administrative(settings: &Settings) -> Element {
             contact("dcc:customer", &settings.customer),
             Element::of(
                 "dcc:statements",
-                vec![
-                    statement(
-                        "ISO/IEC 17025:2017",
-                        "7.8.2.1 l",
-                        "The results relate to the item that was calibrated only.",
-                    ),
-                    statement(
-                        "JCGM 100:2008",
-                        "6",
-                        "The expanded uncertainty is the standard uncertainty multiplied by the coverage factor that is stated \
-                         with it.",
-                    ),
-                ],
+                statements(settings).map(|(norm, clause, text)| statement(norm, clause, &text)).collect(),
             ),
         ],
     )
+}
+
+/// What is stated of the whole calibration: standard, clause, words.
+pub fn statements(settings: &Settings) -> impl Iterator<Item = (&'static str, &'static str, String)> {
+    const COMPETENCE: &str = "ISO/IEC 17025:2017";
+    let always = [
+        (COMPETENCE, "7.8.2.1 l", "The results relate to the item that was calibrated only.".to_owned()),
+        (
+            "JCGM 100:2008",
+            "6",
+            "The expanded uncertainty is the standard uncertainty multiplied by the coverage factor that is stated with it."
+                .to_owned(),
+        ),
+    ];
+    let deviations = settings.deviations.iter();
+    let deviations = deviations.map(|text| format!("Additions to, deviations and exclusions from the methods: {text}"));
+    let external = settings.external.iter().map(|text| format!("Results from external providers: {text}"));
+    let adjustment = settings.adjustment.map(|adjustment| adjustment.words().to_owned());
+    let more = (deviations.map(|text| (COMPETENCE, "7.8.2.1 n", text)))
+        .chain(external.map(|text| (COMPETENCE, "7.8.2.1 p", text)))
+        .chain(adjustment.map(|text| (COMPETENCE, "7.8.4.1 d", text)));
+    always.into_iter().chain(more)
 }
 
 /// How it was measured, and what came out.
@@ -110,8 +123,10 @@ fn measurement(settings: &Settings, calibration: &Calibration, certified: &[&Est
         Element::of("dcc:usedMethod", [named("dcc:name", &method.name)].into_iter().chain(norms).collect())
     });
     let equipment = settings.equipment.iter().map(|one| {
-        let elements = vec![named("dcc:name", &one.name), identified("manufacturer", &one.serial_number)];
-        Element::of("dcc:measuringEquipment", elements)
+        let traceability = one.traceability.as_ref().map(|text| described(&format!("Traceability: {text}")));
+        let elements = [named("dcc:name", &one.name)].into_iter().chain(traceability);
+        let number = identified("manufacturer", &one.serial_number);
+        Element::of("dcc:measuringEquipment", elements.chain([number]).collect())
     });
     let conditions = settings.conditions.iter().map(condition);
     let result = Element::of(
@@ -188,40 +203,21 @@ fn values(settings: &Settings, calibration: &Calibration, certified: &[&Estimate
         return Err(Error::usage(message).help("certify fewer parameters").setting("parameters"));
     }
     let covariance = calibration.covariance.block(&certified.iter().map(|one| one.name.as_str()).collect::<Vec<_>>());
-    let listed = |name: &str, cells: Vec<String>| Element::text(name, cells.join(" "));
-    let column = |column: usize| {
-        let entry = |row: usize| {
-            let unit = product(&units[row], &units[column]);
-            let value = number(covariance[(row, column)]);
-            Element::of("si:covariance", vec![Element::text("si:value", value), Element::text("si:unit", unit)])
-        };
-        Element::of("si:column", (0..certified.len()).map(entry).collect())
+    let stated = Stated {
+        units: &units,
+        expanded: certified.iter().zip(&factors).map(|(one, factor)| factor * one.standard_uncertainty).collect(),
+        factors,
+        covariance: |row, column| covariance[(row, column)],
+        joint,
+        probability,
     };
-    let expanded = certified.iter().zip(&factors).map(|(one, factor)| number(factor * one.standard_uncertainty));
-    Ok(Element::of(
-        "si:realListXMLList",
-        vec![
-            listed("si:labelXMLList", certified.iter().map(|one| label(&one.name)).collect()),
-            listed("si:valueXMLList", certified.iter().map(|one| number(one.value)).collect()),
-            listed("si:unitXMLList", units.clone()),
-            Element::of(
-                "si:expandedUncXMLList",
-                vec![
-                    listed("si:uncertaintyXMLList", expanded.collect()),
-                    listed("si:coverageFactorXMLList", factors.iter().map(|factor| plain(*factor)).collect()),
-                    listed("si:coverageProbabilityXMLList", vec![plain(probability); certified.len()]),
-                ],
-            ),
-            Element::of(
-                "si:ellipsoidalRegionXMLList",
-                vec![
-                    Element::of("si:covarianceMatrix", (0..certified.len()).map(column).collect()),
-                    Element::text("si:coverageFactor", plain(joint)),
-                    Element::text("si:coverageProbability", plain(probability)),
-                ],
-            ),
-        ],
-    ))
+    let mut elements = vec![
+        listed("si:labelXMLList", certified.iter().map(|one| label(&one.name))),
+        listed("si:valueXMLList", certified.iter().map(|one| number(one.value))),
+        listed("si:unitXMLList", units.iter().cloned()),
+    ];
+    elements.extend(stated.elements(settings.version));
+    Ok(Element::of("si:realListXMLList", elements))
 }
 
 /// What influences the values, with the ends of its range.
@@ -257,18 +253,23 @@ fn identified(issuer: &str, value: &str) -> Element {
     Element::of("dcc:identifications", vec![Element::of("dcc:identification", one)])
 }
 
+/// A description.
+fn described(text: &str) -> Element {
+    named("dcc:description", text)
+}
+
 /// An element with a text in the language of the certificate.
 fn named(name: &str, text: &str) -> Element {
     Element::of(name, vec![Element::text("dcc:content", text).with("lang", "en")])
 }
 
 /// A number with all its digits.
-fn number(value: f64) -> String {
+pub fn number(value: f64) -> String {
     format!("{value:e}")
 }
 
 /// A factor or a probability: the schema takes no exponent there.
-fn plain(value: f64) -> String {
+pub fn plain(value: f64) -> String {
     value.to_string()
 }
 

@@ -13,6 +13,9 @@ use crate::units::dsi;
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
+    /// Version of the DCC. Default: 3.2.1.
+    #[serde(default)]
+    pub version: Version,
     /// Number of the certificate, which no other one has.
     pub identifier: String,
     /// Country of the laboratory, two capital letters (ISO 3166-1).
@@ -23,6 +26,21 @@ pub struct Settings {
     pub end: String,
     /// Where they were made.
     pub place: Place,
+    /// Day of issue. Without it the page is a draft.
+    #[serde(default)]
+    pub issued: Option<String>,
+    /// Day on which the item was received, where that matters.
+    #[serde(default)]
+    pub received: Option<String>,
+    /// Additions to, deviations from and exclusions from the methods; `none` if there are none. Without it the page is a draft.
+    #[serde(default)]
+    pub deviations: Option<String>,
+    /// Whether the item was adjusted or repaired. Without it the page is a draft.
+    #[serde(default)]
+    pub adjustment: Option<Adjustment>,
+    /// Which results are from others, and from whom.
+    #[serde(default)]
+    pub external: Option<String>,
     /// Who calibrated.
     pub laboratory: Contact,
     /// Who is responsible; the first one signs.
@@ -40,7 +58,7 @@ pub struct Settings {
     /// The parameters that are certified, by patterns. Default: all of the machine that were estimated.
     #[serde(default)]
     pub parameters: Vec<String>,
-    /// Largest admissible sizes of parameters, by patterns: statements of conformity, with the rule that decides. In um, urad or 1e-6,
+    /// Largest admissible sizes of parameters, by patterns: statements of conformity, with the rule that decides. In um, urad or um/m,
     /// as the parameter is a length, an angle or a number.
     #[serde(default)]
     pub limits: BTreeMap<String, Limit>,
@@ -52,6 +70,28 @@ pub struct Settings {
 
 fn usual() -> f64 {
     0.95
+}
+
+/// A version of the schema.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
+pub enum Version {
+    /// DCC 3.2.1 with D-SI 2.1, which most programs read.
+    #[default]
+    #[serde(rename = "3.2.1")]
+    Dcc321,
+    /// DCC 3.3.0 with D-SI 2.2.
+    #[serde(rename = "3.3")]
+    Dcc330,
+}
+
+impl Version {
+    /// As the schema has it.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Dcc321 => "3.2.1",
+            Self::Dcc330 => "3.3.0",
+        }
+    }
 }
 
 /// A place of measurements.
@@ -79,6 +119,29 @@ impl Place {
             Self::LaboratoryBranch => "laboratoryBranch",
             Self::CustomerBranch => "customerBranch",
             Self::Other => "other",
+        }
+    }
+}
+
+/// Whether results are from before or after an adjustment (ISO/IEC 17025, 7.8.4.1 d).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Adjustment {
+    /// Nothing was adjusted.
+    None,
+    /// The results are from before an adjustment.
+    Before,
+    /// They are from after it.
+    After,
+}
+
+impl Adjustment {
+    /// In words.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::None => "The item was neither adjusted nor repaired.",
+            Self::Before => "The results are from before an adjustment or repair.",
+            Self::After => "The results are from after an adjustment or repair.",
         }
     }
 }
@@ -126,6 +189,9 @@ pub struct Item {
     pub model: String,
     /// Its number.
     pub serial_number: String,
+    /// Its condition when it was calibrated. Without it the page is a draft.
+    #[serde(default)]
+    pub condition: Option<String>,
 }
 
 /// A method.
@@ -147,6 +213,9 @@ pub struct Equipment {
     pub name: String,
     /// Its number.
     pub serial_number: String,
+    /// What makes it traceable: its certificate and who issued it. Without it the page is a draft.
+    #[serde(default)]
+    pub traceability: Option<String>,
 }
 
 /// What influences the values, from its smallest to its largest value.
@@ -184,6 +253,12 @@ impl Settings {
         let named = |name: &str, text: &str| worded(text).map_err(|message| SettingsError::new(name, message));
         named("identifier", &self.identifier)?;
         country("country", &self.country)?;
+        for (name, text) in [("deviations", &self.deviations), ("external", &self.external)] {
+            text.iter().try_for_each(|text| named(name, text))?;
+        }
+        for (name, text) in [("issued", &self.issued), ("received", &self.received)] {
+            text.iter().try_for_each(|text| day(name, text).map(drop))?;
+        }
         let [begin, end] = [day("begin", &self.begin)?, day("end", &self.end)?];
         if end < begin {
             return Err(SettingsError::new(
@@ -199,15 +274,24 @@ impl Settings {
             ("manufacturer", &self.item.manufacturer),
             ("model", &self.item.model),
             ("serial_number", &self.item.serial_number),
-        ] {
+        ]
+        .into_iter()
+        .chain(self.item.condition.as_ref().map(|condition| ("condition", condition)))
+        {
             named(key, text).map_err(|error| error.under([PathItem::Key("item".to_owned())]))?;
         }
         let persons: Vec<Vec<&str>> = self.persons.iter().map(|one| vec![one.name.as_str(), &one.role]).collect();
         let methods: Vec<Vec<&str>> = (self.methods.iter())
             .map(|one| [one.name.as_str()].into_iter().chain(one.norms.iter().map(String::as_str)).collect())
             .collect();
-        let equipment: Vec<Vec<&str>> =
-            self.equipment.iter().map(|one| vec![one.name.as_str(), &one.serial_number]).collect();
+        let equipment: Vec<Vec<&str>> = self
+            .equipment
+            .iter()
+            .map(|one| {
+                let traceability = one.traceability.iter().map(String::as_str);
+                [one.name.as_str(), &one.serial_number].into_iter().chain(traceability).collect()
+            })
+            .collect();
         let conditions: Vec<Vec<&str>> = self.conditions.iter().map(|one| vec![one.name.as_str()]).collect();
         for (name, texts) in
             [("persons", persons), ("methods", methods), ("equipment", equipment), ("conditions", conditions)]
@@ -307,4 +391,51 @@ fn is_day(year: u32, month: u32, day: u32) -> bool {
         _ => return false,
     };
     (1..=days).contains(&day)
+}
+
+/// What stands where nothing is known yet.
+const MISSING: &str = "missing";
+
+impl Contact {
+    /// One of which nothing is known.
+    pub fn missing() -> Self {
+        let text = || MISSING.to_owned();
+        Self { name: text(), city: text(), country: "XX".to_owned(), post_code: None, street: None, e_mail: None }
+    }
+}
+
+impl Person {
+    /// One of whom nothing is known.
+    pub fn missing() -> Self {
+        Self { name: MISSING.to_owned(), role: MISSING.to_owned() }
+    }
+}
+
+impl Item {
+    /// One of which nothing is known.
+    pub fn missing() -> Self {
+        let text = || MISSING.to_owned();
+        Self { name: text(), manufacturer: text(), model: text(), serial_number: text(), condition: None }
+    }
+}
+
+impl Method {
+    /// One of which nothing is known.
+    pub fn missing() -> Self {
+        Self { name: MISSING.to_owned(), norms: Vec::new() }
+    }
+}
+
+impl Equipment {
+    /// One of which nothing is known.
+    pub fn missing() -> Self {
+        Self { name: MISSING.to_owned(), serial_number: MISSING.to_owned(), traceability: None }
+    }
+}
+
+impl Condition {
+    /// One of which nothing is known.
+    pub fn missing() -> Self {
+        Self { name: MISSING.to_owned(), from: 0.0, to: 0.0, unit: "1".to_owned() }
+    }
 }

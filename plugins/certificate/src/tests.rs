@@ -74,7 +74,7 @@ fn built(settings: &Value) -> Result<Dcc, SettingsError> {
 
 fn written(settings: &Value, calibration: &Calibration) -> Result<String> {
     let dcc = built(settings).expect("settings");
-    certificate(&dcc.settings, calibration, &dcc.certified(calibration)?)
+    certificate(&dcc.settings, calibration, &certified(&dcc.settings.parameters, calibration)?)
 }
 
 #[test]
@@ -104,6 +104,45 @@ fn a_reader_finds_values_units_uncertainties_and_covariance() {
     let joint = document.descendants().find(|node| node.tag_name().name() == "coverageFactor").expect("the factor");
     let joint: f64 = joint.text().expect("a text").parse().expect("a number");
     assert!((joint * joint - 7.8147).abs() < 1e-4, "{joint}");
+}
+
+/// What is written is read by the reader of certificates, which shares no code with the writer: values, uncertainties, covariance.
+#[test]
+fn what_is_written_is_read_in_both_versions() {
+    let calibration = calibration();
+    for version in ["3.2.1", "3.3"] {
+        let mut settings = example();
+        settings["version"] = json!(version);
+        let text = written(&settings, &calibration).expect("a certificate");
+        assert!(text.contains(&format!("schemaVersion=\"{}", if version == "3.3" { "3.3.0" } else { version })));
+        let item = |item: &str| abbe_dcc::CertificateFile {
+            path: String::new(),
+            item: abbe_core::Label(item.to_owned()),
+            quantity: None,
+        };
+        let file = std::path::Path::new("certificate.xml");
+        let read = abbe_dcc::DigitalCertificate::parse(file, &text, &item("123")).expect("the certificate");
+        assert_eq!((read.identifier.as_str(), read.laboratory.as_str()), ("CAL-2026-0412", "Laboratory"));
+        assert_eq!(read.remarks, Vec::<String>::new());
+        let estimated = ["EXX[1]", "EB0C", "EXB[2]"];
+        let index = |name: &str| {
+            let parameter = calibration.parameters.iter().find(|parameter| parameter.name == name).expect("it");
+            (read.of_unit(name, parameter.unit.parse().expect("a unit")).expect("the value"), parameter.value)
+        };
+        for one in estimated {
+            let (here, value) = index(one);
+            assert!((read.value(here) / value - 1.0).abs() < 1e-14, "{one}");
+            for other in estimated {
+                let expected = calibration.covariance.block(&[one, other])[(0, 1)];
+                let found = read.covariance(here, index(other).0);
+                assert!(
+                    (found - expected).abs() <= 1e-12 * expected.abs(),
+                    "{version} {one} {other}: {found} {expected}"
+                );
+            }
+        }
+        assert!(abbe_dcc::DigitalCertificate::parse(file, &text, &item("124")).is_err());
+    }
 }
 
 /// Order of elements as the schema DCC 3.2.1 has it, and everything that only people know.
@@ -219,4 +258,99 @@ fn only_what_is_determined_is_certified() {
     calibration.parameters[1].status = Status::Confounded;
     let error = written(&example(), &calibration).expect_err("confounded");
     assert!(error.to_string().contains("do not determine EB0C"), "{error}");
+}
+
+/// Settings with all that ISO/IEC 17025 asks for.
+fn complete() -> Value {
+    let mut all = example();
+    for (pointer, key, value) in [
+        ("", "issued", "2026-03-09"),
+        ("", "deviations", "none"),
+        ("", "adjustment", "none"),
+        ("/laboratory", "street", "Way 1 <b>"),
+        ("/laboratory", "post_code", "12345"),
+        ("/customer", "e_mail", "quality@example.org"),
+        ("/item", "condition", "as used in production"),
+        ("/equipment/0", "traceability", "certificate 12 of a laboratory"),
+    ] {
+        all.pointer_mut(pointer).expect("a map")[key] = json!(value);
+    }
+    all
+}
+
+fn read_page(settings: &Value) -> String {
+    let draft: Draft = from_settings(settings).expect("settings");
+    draft.check().expect("settings");
+    let calibration = calibration();
+    page(&draft, &calibration, &certified(&draft.parameters, &calibration).expect("parameters")).expect("a page")
+}
+
+/// Every element that ISO/IEC 17025 asks for: without it the page is a draft that names it; with all it is none.
+#[test]
+fn a_page_is_a_draft_until_all_is_there() {
+    let page = read_page(&complete());
+    assert!(
+        !page.contains("DRAFT: ") && !page.contains("class=\"gap\"") && !page.contains("class=\"draft\""),
+        "{page}"
+    );
+    for (pointer, key, words) in [
+        ("", "identifier", "7.8.2.1 d"),
+        ("", "begin", "7.8.2.1 i"),
+        ("", "end", "7.8.2.1 i"),
+        ("", "place", "7.8.2.1 c"),
+        ("", "issued", "7.8.2.1 j"),
+        ("", "deviations", "7.8.2.1 n"),
+        ("", "adjustment", "7.8.4.1 d"),
+        ("", "laboratory", "7.8.2.1 b"),
+        ("/laboratory", "street", "7.8.2.1 b"),
+        ("", "persons", "7.8.2.1 o"),
+        ("", "customer", "7.8.2.1 e"),
+        ("/customer", "e_mail", "7.8.2.1 e"),
+        ("", "item", "7.8.2.1 g"),
+        ("/item", "condition", "7.8.2.1 g"),
+        ("", "methods", "7.8.2.1 f"),
+        ("", "equipment", "7.8.4.1 c"),
+        ("/equipment/0", "traceability", "7.8.4.1 c"),
+        ("", "conditions", "7.8.4.1 b"),
+    ] {
+        let mut some = complete();
+        some.pointer_mut(pointer).and_then(Value::as_object_mut).expect("a map").remove(key);
+        let page = read_page(&some);
+        let banner =
+            page.split("class=\"banner\"").nth(1).and_then(|rest| rest.split("</div>").next()).expect("a banner");
+        assert!(banner.contains(words), "{key}: {banner}");
+        assert_eq!(banner.matches("<li>").count(), 1, "{key}: {banner}");
+    }
+    let nothing = read_page(&json!({}));
+    assert_eq!(nothing.matches("<li>").count() >= 12, true, "{nothing}");
+    assert!(nothing.contains("12.0") && nothing.contains("DRAFT"), "results stand there all the same");
+}
+
+/// Numbers to two digits of U, units for people; what people write cannot become markup.
+#[test]
+fn a_page_states_values_for_people() {
+    let mut settings = complete();
+    settings["limits"] = json!({ "EB0C": { "limit": 48.2, "decision": "iso-14253-1-2017" } });
+    let page = read_page(&settings);
+    for words in [
+        "<td class=\"number\">\u{2212}12.00</td><td class=\"number\">0.59</td><td>µm/m</td>",
+        "<td class=\"number\">45.0</td><td class=\"number\">3.9</td><td>µrad</td>",
+        "Way 1 &lt;b&gt;",
+        "touches &amp; more.csv",
+        "not decided",
+        "ISO 14253-1:2017",
+        "95 %",
+        "End of certificate CAL-2026-0412",
+        "relate to the item that was calibrated only",
+    ] {
+        assert!(page.contains(words), "{words}: {page}");
+    }
+    for wrong in [
+        json!({ "begin": "2026-02-30" }),
+        json!({ "identifier": " " }),
+        json!({ "begin": "2026-03-02", "end": "2026-03-01" }),
+    ] {
+        let draft: Draft = from_settings(&wrong).expect("settings");
+        assert!(draft.check().is_err(), "{wrong}");
+    }
 }

@@ -4,15 +4,12 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use abbe_core::{ColumnHeader, Context, Dataset, Ingest, InputFile, Label, PathItem, Result, SettingsError, Table};
+use abbe_assembly::{Assembly, Average, Filters, Join, Motion, Paths, Ranges, tell_left_out, without_rows};
+use abbe_core::{ColumnHeader, Context, Dataset, Ingest, InputFile, Label, Result, SettingsError, Table};
 use abbe_table::{Decimal, Declared, Encoding, Layout, Separator, Thousands};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
-
-use crate::assembly::{Assembly, Filters, Join, Paths, Ranges, without_rows};
-use crate::average::Average;
-use crate::motion::Motion;
 
 /// Measurements in CSV files.
 #[derive(Debug, Deserialize, JsonSchema)]
@@ -80,7 +77,6 @@ fn yes() -> bool {
 struct Csv {
     assembly: Assembly,
     layout: Layout,
-    average: Option<Average>,
     /// A table of a program, in the place of the files.
     table: Option<Arc<Table>>,
 }
@@ -119,13 +115,8 @@ pub(crate) fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ing
         columns: settings.columns,
     };
     let Settings { path, constants, join, ignore, keep, average, motion, within, .. } = settings;
-    if let Some((header, [from, to])) = within.iter().find(|(_, [from, to])| from.is_nan() || to.is_nan() || from > to)
-    {
-        let error = SettingsError::new(header, format!("{from} to {to} is no range")).help("write `[from, to]`");
-        return Err(error.under([PathItem::Key("within".to_owned())]));
-    }
-    let assembly = Assembly::new(path, constants, join, [ignore, keep], context)?;
-    Ok(Box::new(Csv { assembly: assembly.in_passing(motion, within), layout: layout.layout()?, average, table: None }))
+    let assembly = Assembly::new(path, constants, join, [ignore, keep], context)?.in_passing(motion, within)?;
+    Ok(Box::new(Csv { assembly: assembly.averaged(average), layout: layout.layout()?, table: None }))
 }
 
 impl Ingest for Csv {
@@ -134,23 +125,15 @@ impl Ingest for Csv {
     }
 
     fn headers(&self) -> Result<Vec<ColumnHeader>> {
-        // What `read` does, on tables without rows: so the columns cannot differ.
         let data = self.assembly.without_rows(&|path| match &self.table {
             Some(table) => Ok(abbe_table::of_table(path, &table.without_rows(), &self.layout)?.0),
             None => without_rows(path, &self.layout),
         })?;
-        Ok(match &self.average {
-            Some(average) => average.of(&data)?.headers(),
-            None => data.headers(),
-        })
+        Ok(data.headers())
     }
 
     fn read(&self) -> Result<Dataset> {
-        let data = self.assembly.read(&|path| self.rows_of(path))?;
-        match &self.average {
-            Some(average) => average.of(&data),
-            None => Ok(data),
-        }
+        self.assembly.read(&|path| self.rows_of(path))
     }
 
     fn with_table(self: Box<Self>, table: Arc<Table>) -> Result<Box<dyn Ingest>> {
@@ -164,10 +147,7 @@ impl Csv {
             Some(table) => abbe_table::of_table(path, table, &self.layout)?,
             None => abbe_table::read_laid_out(path, &self.layout)?,
         };
-        if left_out > 0 {
-            let [holds, are] = if left_out == 1 { ["row holds", "is"] } else { ["rows hold", "are"] };
-            tracing::warn!("{}: {left_out} {holds} a mark of `no_data` and {are} left out", path.display());
-        }
+        tell_left_out(path, left_out);
         Ok(data)
     }
 }

@@ -15,7 +15,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::assembly::{Assembly, Filters, Join, Paths};
+use abbe_assembly::{Assembly, Filters, Join, Paths};
 
 /// Measurements in lines of text.
 #[derive(Debug, Deserialize, JsonSchema)]

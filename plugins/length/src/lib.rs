@@ -4,6 +4,8 @@
 //! the reference of the row, off by the error of its bar's calibration and expanded by `a (T - 20 °C)`; error, coefficient
 //! and temperature are known inputs that all rows share. One calibrated length gives a self-calibration its scale.
 
+mod certified;
+
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -13,10 +15,13 @@ use abbe_core::{
     Quantity, RankPoint, Result, RowBatch, RowIndex, SettingsError, StatusColumn, Target, Unit, not_negative,
     pose_columns, positive,
 };
+use abbe_dcc::{CertificateFile, DigitalCertificate};
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+
+use certified::Certified;
 
 abbe_core::register!(
     Artefact,
@@ -41,6 +46,11 @@ struct Settings {
     /// Standard uncertainty of the calibration of the known length, shared by all rows.
     #[serde(default)]
     reference_standard_uncertainty_um: f64,
+    /// The digital calibration certificate of the known lengths, in place of the column `reference_mm` and of
+    /// `reference_standard_uncertainty_um`. The column `reference` of the data says the label of each length; without it the
+    /// certificate has to state one length only.
+    #[serde(default)]
+    certificate: Option<CertificateFile>,
     /// Thermal expansion of the known length. If it is missing, the reference lengths hold at the temperature of the
     /// measurement.
     #[serde(default)]
@@ -83,7 +93,7 @@ fn example() -> Value {
     json!({ "standard_uncertainty_um": 0.9 })
 }
 
-fn build(settings: Settings, _: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Artefact>, SettingsError> {
     positive("standard_uncertainty_um", settings.standard_uncertainty_um)?;
     not_negative("reference_standard_uncertainty_um", settings.reference_standard_uncertainty_um)?;
     if let Some(expansion) = &settings.expansion {
@@ -98,11 +108,24 @@ fn build(settings: Settings, _: &Context) -> Result<Box<dyn Artefact>, SettingsE
             return Err(SettingsError::new("expansion", "a length that is estimated has no reference to expand"));
         }
     }
-    Ok(Box::new(Lengths { settings }))
+    let under = |error: SettingsError| error.under([PathItem::Key("certificate".to_owned())]);
+    let certificate = settings.certificate.as_ref().map(|it| it.path(context)).transpose().map_err(under)?;
+    if certificate.is_some() {
+        if settings.length == Length::Estimated {
+            return Err(SettingsError::new("certificate", "a length that is estimated has no certificate"));
+        }
+        if settings.reference_standard_uncertainty_um > 0.0 {
+            let error = SettingsError::new("reference_standard_uncertainty_um", "the certificate states it");
+            return Err(error.help("leave it out"));
+        }
+    }
+    Ok(Box::new(Lengths { settings, certificate }))
 }
 
 struct Lengths {
     settings: Settings,
+    /// The file of the certificate.
+    certificate: Option<PathBuf>,
 }
 
 /// The columns of one end: `X1`, `B1` or, if it is the same at both ends, `B`; `dir1_X`. Rotary axes that the file does
@@ -119,17 +142,33 @@ fn naming(end: usize) -> impl Fn(&StatusColumn, Option<&Axis>) -> (Vec<String>, 
     }
 }
 
+impl Lengths {
+    /// The certificate of the lengths, if there is one.
+    fn read(&self) -> Result<Option<DigitalCertificate>> {
+        let file = self.certificate.as_ref().zip(self.settings.certificate.as_ref());
+        file.map(|(path, settings)| DigitalCertificate::read(path, settings)).transpose()
+    }
+}
+
 impl Artefact for Lengths {
     fn inputs(&self) -> Vec<InputFile> {
-        Vec::new()
+        self.certificate.iter().map(|path| InputFile { setting: "certificate", path: path.clone() }).collect()
     }
 
     fn check(&self, headers: &[ColumnHeader], file: Option<&PathBuf>, model: &dyn KinematicModel) -> Result<()> {
         pose_columns(headers, file, model, &naming(1))?;
         pose_columns(headers, file, model, &naming(2))?;
-        match self.settings.length {
-            Length::Known => abbe_table::require(headers, file, &[("reference", Quantity::Length)]),
-            Length::Estimated => Ok(()),
+        let has_reference = headers.iter().any(|header| header.name == "reference");
+        match (self.read()?, self.settings.length) {
+            (Some(certificate), _) => {
+                certificate.tell();
+                match has_reference {
+                    true => abbe_table::require(headers, file, &[("reference", Quantity::Label)]),
+                    false => certificate.only(Unit::MM).map(drop),
+                }
+            }
+            (None, Length::Known) => abbe_table::require(headers, file, &[("reference", Quantity::Length)]),
+            (None, Length::Estimated) => Ok(()),
         }
     }
 
@@ -142,7 +181,12 @@ impl Artefact for Lengths {
             return Err(Error::data("there is no length"));
         }
         let known = self.settings.length == Length::Known;
-        let references = if known { data.required_numbers("reference")?.to_vec() } else { vec![0.0; data.rows()] };
+        let certified = self.read()?.map(|certificate| Certified::new(certificate, data)).transpose()?;
+        let references = match &certified {
+            Some(certified) => certified.lengths(),
+            None if known => data.required_numbers("reference")?.to_vec(),
+            None => vec![0.0; data.rows()],
+        };
         if let Some((row, reference)) =
             DataRow::enumerate(&references).find(|(_, reference)| known && **reference <= 0.0)
         {
@@ -153,13 +197,21 @@ impl Artefact for Lengths {
             references,
             own: Vec::new(),
             calibrations: Vec::new(),
+            certified: None,
             excess: None,
         };
         match self.settings.length {
             Length::Estimated => lengths.estimate(model)?,
             Length::Known => {
                 lengths.info.rank_point = RankPoint::AsRecorded;
-                lengths.know(&self.settings)?;
+                match certified {
+                    Some(certified) => {
+                        lengths.info.inputs.clone_from(&certified.errors.inputs);
+                        lengths.certified = Some(certified);
+                    }
+                    None => lengths.know(&self.settings),
+                }
+                lengths.expand(&self.settings)?;
             }
         }
         Ok(Arc::new(lengths))
@@ -179,6 +231,8 @@ struct Measured {
     own: Vec<usize>,
     /// The known input of every row that is the error of its calibration, if lengths are known.
     calibrations: Vec<usize>,
+    /// The certificate of known lengths, where there is one.
+    certified: Option<Certified>,
     /// Index of the expansion coefficient (the error of the temperature follows it), and for every row the temperature
     /// above the reference temperature, K.
     excess: Option<(usize, Vec<f64>)>,
@@ -190,8 +244,8 @@ fn of_bar(bars: Option<&[String]>, row: DataRow, own: &str) -> String {
 }
 
 impl Measured {
-    /// Makes the lengths known, except for the error of the bar's calibration and the thermal expansion.
-    fn know(&mut self, settings: &Settings) -> Result<()> {
+    /// Makes the lengths known, except for the error of the bar's calibration.
+    fn know(&mut self, settings: &Settings) {
         let data = self.info.layout.data.clone();
         let bars = data.labels("bar");
         for row in data.row_indices() {
@@ -208,6 +262,11 @@ impl Measured {
             });
             self.calibrations.push(known);
         }
+    }
+
+    /// Makes the known lengths expand from 20 °C.
+    fn expand(&mut self, settings: &Settings) -> Result<()> {
+        let data = self.info.layout.data.clone();
         let Some(expansion) = &settings.expansion else { return Ok(()) };
         if let Some(temperature) =
             expansion.temperature_degC.filter(|stated| !abbe_table::TEMPERATURES.contains(stated))
@@ -256,9 +315,12 @@ impl Measured {
 
     /// The known length of a row, and its derivatives to known inputs.
     fn reference(&self, RowIndex(row): RowIndex, inputs: &[f64]) -> (f64, Vec<(usize, f64)>) {
-        let (calibration, nominal) = (self.calibrations[row], self.references[row]);
-        let mut length = nominal + inputs[calibration];
-        let mut derivatives = vec![(calibration, 1.0)];
+        let nominal = self.references[row];
+        let mut derivatives = match &self.certified {
+            Some(certified) => certified.of(row).to_vec(),
+            None => vec![(self.calibrations[row], 1.0)],
+        };
+        let mut length = nominal + derivatives.iter().map(|(input, factor)| inputs[*input] * factor).sum::<f64>();
         if let Some((first, excess)) = &self.excess {
             let (coefficient, excess) = (inputs[*first], excess[row] + inputs[first + 1]);
             length += nominal * coefficient * excess;

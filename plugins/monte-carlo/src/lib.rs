@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use abbe_core::{
     Calibration, Context, Error, Estimate, EstimateSource, Fit, GumComparison, Identifiability, MonteCarlo,
-    NamedCovariance, Problem, Result, SettingsError, SimulatedParameter, Whole, in_parallel,
+    NamedCovariance, Problem, Result, Samples, SettingsError, SimulatedParameter, Whole, in_parallel,
 };
 use abbe_numerics::{AdaptiveProcedure, Generator, Trials, compare_with_gum, least_trials, numerical_tolerance};
 use serde_json::{Value, json};
@@ -73,7 +73,13 @@ impl Estimate for Propagation {
             return Err(Error::data(message).help("propagate an estimate of what the data determine").setting("of"));
         }
         let draws = Draws::new(&self.settings, fit)?;
-        let mut found = Found { trials: Trials::new(draws.quantities()), failed: 0, stable: None };
+        self.may_keep(draws.quantities())?;
+        let mut found = Found {
+            trials: Trials::new(draws.quantities()),
+            failed: 0,
+            stable: None,
+            samples: self.settings.keep_samples.then(Vec::new),
+        };
         match &self.settings.adaptive {
             None => self.solve(&draws, fit, self.settings.trials.get(), &mut found, None)?,
             Some(adaptive) => {
@@ -93,7 +99,12 @@ impl Estimate for Propagation {
                 }
             }
         }
-        Ok(self.calibration(fit, &draws, &found))
+        let samples = found.samples.take();
+        let mut calibration = self.calibration(fit, &draws, &found);
+        if let Some(found) = &mut calibration.monte_carlo {
+            found.samples = samples.map(|values| Samples { quantities: quantities(fit), values });
+        }
+        Ok(calibration)
     }
 }
 
@@ -107,9 +118,26 @@ struct Found {
     trials: Trials,
     failed: usize,
     stable: Option<bool>,
+    /// Trials x quantities, if they are kept.
+    samples: Option<Vec<f64>>,
 }
 
+/// Most values of trials that are kept: 400 MB.
+const MOST_KEPT: usize = 50_000_000;
+
 impl Propagation {
+    /// Refuses to keep more values of trials than the memory has room for.
+    fn may_keep(&self, quantities: usize) -> Result<()> {
+        let trials = self.settings.adaptive.as_ref().map_or(self.settings.trials, |adaptive| adaptive.most).get();
+        let values = trials.saturating_mul(quantities);
+        if !self.settings.keep_samples || values <= MOST_KEPT {
+            return Ok(());
+        }
+        let message =
+            format!("{trials} trials of {quantities} quantities are {values} values; {MOST_KEPT} at most are kept");
+        Err(Error::usage(message).help("ask for fewer trials, or leave it out").setting("keep_samples"))
+    }
+
     /// Adds `count` trials, in the order of their numbers; ends with the first one in which the code itself fails.
     fn solve(
         &self,
@@ -143,6 +171,9 @@ impl Propagation {
                 match result {
                     Ok(values) => {
                         found.trials.push(&values);
+                        if let Some(samples) = &mut found.samples {
+                            samples.extend_from_slice(&values);
+                        }
                         if let Some(batch) = batch.as_deref_mut() {
                             batch.push(&values);
                         }
@@ -216,6 +247,7 @@ impl Propagation {
             coverage_probability: probability,
             inputs: draws.described(),
             parameters: parameters.collect(),
+            samples: None,
         });
         let before = std::mem::replace(&mut calibration.covariance, NamedCovariance { order, rows: covariance });
         fit.problem.untie(&mut calibration);
@@ -227,6 +259,12 @@ impl Propagation {
         calibration.uncertainty = None;
         calibration
     }
+}
+
+/// Names and units of what a trial gives, in its order.
+fn quantities(fit: &Fit) -> Vec<(String, String)> {
+    let all = fit.problem.unknowns.iter().chain(&fit.problem.considered.unknowns);
+    all.map(|unknown| (unknown.name.clone(), unknown.unit.to_string())).collect()
 }
 
 /// Refuses a number of trials that cannot tell an interval of that probability.

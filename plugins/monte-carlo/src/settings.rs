@@ -45,6 +45,9 @@ pub struct Settings {
     /// Lobing of the probe, of unknown amplitude and phase.
     #[serde(default)]
     pub lobing: Vec<LobingSetting>,
+    /// Keep the values of every trial, for `export: parquet`. They take 8 bytes for each trial and unknown.
+    #[serde(default)]
+    pub keep_samples: bool,
     /// Number of threads. Default: all cores. The result does not depend on it.
     #[serde(default)]
     pub threads: Option<Whole<1, 1024>>,

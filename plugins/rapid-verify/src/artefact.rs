@@ -14,7 +14,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::points::{Point, Points, axis_index, check_headers};
+use crate::points::{Point, Points, axis_index, check_headers, holds_trigger};
 
 abbe_core::register!(
     Artefact,
@@ -71,12 +71,14 @@ impl Artefact for ProbedPoints {
         let mut layout = Layout::new(data, model, &[&plain_naming])?;
         let measured = abbe_table::numbers(data, "measured", Quantity::Length)?;
         let (mut points, mut facets): (Vec<Touched>, Vec<Point>) = (Vec::new(), Vec::new());
+        let mut touched = Vec::new();
         for (row, label) in DataRow::enumerate(abbe_table::labels(data, "point")?) {
             let Some(&index) = by_label.get(label.as_str()) else { continue };
             let point = &nominal.list[index];
             let axis = axis_index(model, &point.axis).map_err(|message| data.error_at(row, message))?;
             let pose = layout.poses.end();
             layout.push(model, row, &[self.standard_uncertainty])?;
+            touched.push((row, point.axis.as_str(), measured[row]));
             // What triggered is the reading; the column of the axis may hold where it was sent.
             layout.poses.row_mut(pose)[model.info().axes[axis].status] = measured[row];
             let known = facets.iter().position(|facet| facet.facet == point.facet);
@@ -86,6 +88,7 @@ impl Artefact for ProbedPoints {
             });
             points.push(Touched { point: point.clone(), facet, axis });
         }
+        holds_trigger(data, &touched)?;
         if points.is_empty() {
             let error = Error::data(format!("no row touches a point of {}", self.nominal.display()));
             return Err(error.help("`point` in the data and in the nominal file have to agree"));

@@ -7,7 +7,7 @@ use abbe_core::{AxisKind, DataRow, Dataset, Error, Fit, Problem, Quantity, Resul
 
 use crate::candidates::{self, Candidates};
 use crate::diagnosis::Pattern;
-use crate::points::{Point, Points, Touch};
+use crate::points::{Point, Points, Touch, check_trigger, holds_trigger};
 
 /// The readings of one point in the baseline.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,6 +36,8 @@ pub struct Baseline {
     pub points: Vec<Probed>,
     /// The readings that it was made from.
     data: Arc<Dataset>,
+    /// Whether the columns of approach axes hold where touches were measured.
+    holds_trigger: bool,
 }
 
 /// A run to be judged.
@@ -80,12 +82,13 @@ impl Baseline {
         })?;
         let layout = &set.info().layout;
         let (labels, measured) = (layout.data.required_labels("point")?, layout.data.required_numbers("measured")?);
-        let mut points = Vec::new();
+        let (mut points, mut touched) = (Vec::new(), Vec::new());
         for point in &nominal.list {
             let taken = set.rows.iter().map(|&row| layout.rows[row]).filter_map(|row| Some((row, row.data_row?)));
             let rows: Vec<_> = taken.filter(|(_, data_row)| labels[*data_row] == point.label).collect();
             let Some((first, first_row)) = rows.first() else { continue };
             let readings: Vec<f64> = rows.iter().map(|(_, data_row)| measured[*data_row]).collect();
+            touched.extend(rows.iter().map(|(_, row)| (*row, point.axis.as_str(), measured[*row])));
             let mean = readings.iter().sum::<f64>() / readings.len() as f64;
             let status = set.poses().row(first.first_pose);
             let mut touch = Touch::new(problem.model.as_ref(), point, status)?;
@@ -104,7 +107,8 @@ impl Baseline {
             return Err(Error::data("the baseline has no point of the nominal file"));
         }
         let data = layout.data.clone();
-        Ok(Self { problem, points, data })
+        let holds_trigger = holds_trigger(&data, &touched)?;
+        Ok(Self { problem, points, data, holds_trigger })
     }
 
     /// What a run is a copy of, if all its readings are those of one repeat of the baseline, or of an earlier run, to the last
@@ -167,13 +171,14 @@ impl Baseline {
                     return Err(Error::usage(format!("two runs are called `{name}`")).setting("from"));
                 }
                 let mut readings = vec![None; self.points.len()];
-                let mut last = DataRow(0);
+                let (mut last, mut touched) = (DataRow(0), Vec::new());
                 for row in data.row_indices().filter(|&row| files[row] == *name) {
                     last = row;
                     let place = self.points.iter().position(|probed| probed.point.label == labels[row]);
                     let place = place
                         .ok_or_else(|| data.error_at(row, format!("point {} is not in the baseline", labels[row])))?;
                     self.is_there(data, row, &self.points[place])?;
+                    touched.push((row, self.points[place].point.axis.as_str(), measured[row]));
                     if readings[place].replace(measured[row]).is_some() {
                         return Err(data.error_at(row, format!("point {} is probed a second time", labels[row])));
                     }
@@ -184,6 +189,11 @@ impl Baseline {
                     return Err(data
                         .error_at(last, format!("{name} ends without point {label}"))
                         .help("a verify run probes every point of the baseline"));
+                }
+                // A program that says where it sends the axes says so of the baseline, too.
+                match self.holds_trigger {
+                    true => check_trigger(data, &touched)?,
+                    false => drop(holds_trigger(data, &touched)?),
                 }
                 runs.push(Run { name: name.clone(), readings: readings.into_iter().flatten().collect() });
             }

@@ -13,7 +13,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::points::{Points, Touch};
+use crate::points::{Points, Touch, holds_trigger};
 
 abbe_core::register!(
     Validate,
@@ -74,6 +74,7 @@ impl Validate for VerifyCut {
         }
         let points = Points::read(&self.nominal)?;
         let allowances = self.allowances(&points)?;
+        self.leaves_stock(&points, &allowances)?;
         let mut findings = Findings::default();
         let (mut worst, mut out, mut count) = (0.0_f64, 0, 0);
         for data in data {
@@ -87,6 +88,11 @@ impl Validate for VerifyCut {
                 if off.abs() > self.settings.tolerance_um.value {
                     out += 1;
                     findings.remarks.push(format!("{label}: no-go: {}", advice(stock, allowance)));
+                } else if stock < 0.0 {
+                    findings.remarks.push(format!(
+                        "{label}: go, and {:.1} µm below the finished surface: nothing is left to finish; {allowance} mm of stock planned",
+                        -1e3 * stock
+                    ));
                 } else {
                     findings.remarks.push(format!("{label}: go: {stock:.4} mm of stock, {allowance} mm planned"));
                 }
@@ -106,6 +112,22 @@ impl Validate for VerifyCut {
 }
 
 impl VerifyCut {
+    /// Refuses a tolerance that accepts a point without any stock, where stock was planned.
+    fn leaves_stock(&self, points: &Points, allowances: &[f64]) -> Result<()> {
+        let planned = || points.data.row_indices().zip(allowances).filter(|(_, allowance)| **allowance > 0.0);
+        let Some((row, least)) = planned().min_by(|one, other| one.1.total_cmp(other.1)) else { return Ok(()) };
+        let (label, tolerance) = (&points.list[row.0].label, self.settings.tolerance_um.value);
+        let least = (1e9 * least).round() / 1e6;
+        if tolerance < least {
+            return Ok(());
+        }
+        let message = format!(
+            "{tolerance} um: a tolerance below the stock that is planned, {least} um at point {label}, was expected: with this one a cut \
+             below the finished surface passes"
+        );
+        Err(Error::usage(message).setting("tolerance_um").help("is it in micrometres, and `stock_mm` in millimetres?"))
+    }
+
     /// The allowance of every point, mm.
     fn allowances(&self, points: &Points) -> Result<Vec<f64>> {
         if points.data.column("stock").is_some() {
@@ -126,7 +148,7 @@ fn stocks(fit: &Fit, points: &Points, data: &Dataset) -> Result<Vec<(usize, f64)
     let measured =
         data.column("measured").map(|_| abbe_table::numbers(data, "measured", Quantity::Length)).transpose()?;
     let by_label = points.by_label();
-    let mut found = Vec::new();
+    let (mut found, mut touched) = (Vec::new(), Vec::new());
     for (row, label) in DataRow::enumerate(abbe_table::labels(data, "point")?) {
         let Some(&index) = by_label.get(label.as_str()) else {
             return Err(data.error_at(row, format!("point {label} is not in {}", file_name(points))));
@@ -136,10 +158,12 @@ fn stocks(fit: &Fit, points: &Points, data: &Dataset) -> Result<Vec<(usize, f64)
         table.push(data, row, model, &columns)?;
         let mut touch = Touch::new(model, &points.list[index], table.row(pose))?;
         if let Some(measured) = measured {
+            touched.push((row, points.list[index].axis.as_str(), measured[row]));
             touch.status[model.info().axes[touch.axis].status] = measured[row];
         }
         found.push((index, touch.distance_here(&problem.machine_values)? - model.info().stylus_radius));
     }
+    holds_trigger(data, &touched)?;
     Ok(found)
 }
 

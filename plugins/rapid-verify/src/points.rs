@@ -149,6 +149,49 @@ pub fn axis_index(model: &dyn KinematicModel, name: &str) -> Result<usize, Strin
         .ok_or_else(|| format!("the approach is along {name}; the linear axes of the machine are {}", names.join(", ")))
 }
 
+/// Difference of `measured_mm` and the position of the approach axis in the same row, mm, that rounding makes.
+const ROUNDED: f64 = 1e-3;
+
+/// Whether the approach axis stands in a row where the touch was measured, and how far it is from there, mm; none if its column is not
+/// there.
+fn off(data: &Dataset, row: DataRow, axis: &str, measured: f64) -> Option<f64> {
+    Some(data.numbers(axis)?[row] - measured).filter(|off| off.is_finite())
+}
+
+/// Whether the columns of approach axes hold where the touches were measured, as `measured_mm` does, and not where the axes were sent:
+/// so it is if most rows agree. `touched` are the rows, their approach axes and `measured_mm`.
+///
+/// Fails for a row that does not agree while most do: one of the two is that of another day.
+pub fn holds_trigger(data: &Dataset, touched: &[(DataRow, &str, f64)]) -> Result<bool> {
+    let offs: Vec<(DataRow, &str, f64)> = touched
+        .iter()
+        .filter_map(|(row, axis, measured)| Some((*row, *axis, off(data, *row, axis, *measured)?)))
+        .collect();
+    let different: Vec<_> = offs.iter().filter(|(.., off)| off.abs() > ROUNDED).collect();
+    if 2 * different.len() >= offs.len() {
+        return Ok(false);
+    }
+    different.first().map_or(Ok(true), |(row, axis, off)| Err(contradicted(data, *row, axis, *off)))
+}
+
+/// The error for a row whose approach axis is not where the touch was measured.
+pub fn contradicted(data: &Dataset, row: DataRow, axis: &str, off: f64) -> Error {
+    let message = format!(
+        "`{axis}` is {off:.4} mm from `measured_mm` in this row, and both are the position of the approach axis at the trigger"
+    );
+    data.error_at(row, message).help("is one of the two columns that of another run, or from before a shift of zero?")
+}
+
+/// Refuses rows whose approach axes are not where the touches were measured.
+pub fn check_trigger(data: &Dataset, touched: &[(DataRow, &str, f64)]) -> Result<()> {
+    for (row, axis, measured) in touched {
+        if let Some(off) = off(data, *row, axis, *measured).filter(|off| off.abs() > ROUNDED) {
+            return Err(contradicted(data, *row, axis, off));
+        }
+    }
+    Ok(())
+}
+
 /// Steps after which a search ends; Newton's iteration needs three or four.
 const STEPS: usize = 20;
 

@@ -3,7 +3,7 @@
 use abbe_core::Variable;
 use nalgebra::Vector3;
 
-use crate::model::{CoefficientPlace, FunctionBasis, ParameterUse, SerialChain, Source, Work};
+use crate::model::{CoefficientPlace, ParameterUse, SerialChain, Source, Work};
 
 /// Derivatives of position or rotation to the errors of every slot, and to the command of every axis.
 pub(crate) type ByErrorAndCommand<'a> = (&'a [[Vector3<f64>; 6]], &'a [Vector3<f64>]);
@@ -12,10 +12,19 @@ pub(crate) type ByErrorAndCommand<'a> = (&'a [[Vector3<f64>; 6]], &'a [Vector3<f
 #[derive(Default)]
 pub(crate) struct Wanted {
     pub coefficients: Vec<(usize, CoefficientPlace)>,
-    /// Index among all variables, parameter, bases.
-    pub shapes: Vec<(usize, usize, Vec<usize>)>,
-    /// Index among all variables, axis.
-    pub commands: Vec<(usize, usize)>,
+    pub arguments: Vec<Argument>,
+}
+
+/// A variable that functions have as their argument: a shape, or the command of an axis.
+pub(crate) struct Argument {
+    /// Index among all variables.
+    index: usize,
+    source: Source,
+    /// The axis, if it is a command: the motion itself changes with it, too.
+    axis: Option<usize>,
+    bases: Vec<usize>,
+    /// Slot, component and slope of the errors that follow it, at the last pose.
+    slopes: Vec<(usize, usize, f64)>,
 }
 
 /// Whether two coefficients add to the same error.
@@ -31,13 +40,13 @@ pub(crate) type Buffers = (Vec<f64>, Vec<f64>);
 pub(crate) struct At<'a> {
     pub status: &'a [f64],
     pub values: &'a [f64],
-    pub used: &'a [usize],
 }
 
 impl SerialChain {
-    /// The wanted variables, coefficients of one error together.
-    pub fn sorted(&self, wanted: &[Variable]) -> Wanted {
+    /// The wanted variables, coefficients of one error together. `used` are the bases that are evaluated.
+    pub fn sorted(&self, wanted: &[Variable], used: &[usize]) -> Wanted {
         let mut sorted = Wanted::default();
+        let argument = |index, source, axis, bases| Argument { index, source, axis, bases, slopes: Vec::new() };
         for (index, variable) in wanted.iter().enumerate() {
             match *variable {
                 Variable::Parameter(parameter) => match self.uses[parameter] {
@@ -47,29 +56,39 @@ impl SerialChain {
                         sorted.coefficients.extend(coefficients.iter().map(|(_, place)| (index, *place)));
                     }
                     ParameterUse::Shape(first) => {
-                        let follows = |basis: &usize| {
-                            let arguments = &self.bases[*basis].arguments;
-                            *basis == first || arguments.contains(&Source::Parameter(parameter))
-                        };
-                        sorted.shapes.push((index, parameter, (0..self.bases.len()).filter(follows).collect()));
+                        let source = Source::Parameter(parameter);
+                        let follows = |basis: &usize| *basis == first || self.bases[*basis].arguments.contains(&source);
+                        let bases = (0..self.bases.len()).filter(follows).collect();
+                        sorted.arguments.push(argument(index, source, None, bases));
                     }
                     ParameterUse::Radius => {}
                 },
-                Variable::Command(axis) => sorted.commands.push((index, axis)),
+                Variable::Command(axis) => {
+                    let source = Source::Status(self.info.axes[axis].status);
+                    let follows = |basis: &&usize| self.bases[**basis].arguments.contains(&source);
+                    let bases = used.iter().filter(follows).copied().collect();
+                    sorted.arguments.push(argument(index, source, Some(axis), bases));
+                }
             }
         }
         sorted
     }
 
-    /// Derivatives of position or rotation, as in `by`, to the wanted variables. Derivatives that are zero are not written.
-    pub fn derivatives(
-        &self,
-        wanted: &Wanted,
-        at: At<'_>,
-        work: &Work,
-        by: ByErrorAndCommand<'_>,
-        (buffers, out): (&mut Buffers, &mut [[f64; 3]]),
-    ) {
+    /// The slopes of errors to the wanted arguments at a pose: derivatives of position and of rotation follow from them.
+    pub fn slopes(&self, wanted: &mut Wanted, at: At<'_>, (each, slopes): &mut Buffers) {
+        for argument in &mut wanted.arguments {
+            argument.slopes.clear();
+            for basis in argument.bases.iter().map(|&basis| &self.bases[basis]) {
+                if basis.slopes_by(argument.source, at.status, at.values, each, slopes) {
+                    argument.slopes.extend(basis.errors(at.values, slopes));
+                }
+            }
+        }
+    }
+
+    /// Derivatives of position or rotation, as in `by`, to the wanted variables, with the [`slopes`](Self::slopes) of the pose.
+    /// Derivatives that are zero are not written.
+    pub fn derivatives(&self, wanted: &Wanted, work: &Work, by: ByErrorAndCommand<'_>, out: &mut [[f64; 3]]) {
         for coefficients in wanted.coefficients.chunk_by(of_one_error) {
             let by_error = by.0[coefficients[0].1.slot][coefficients[0].1.component];
             for (index, place) in coefficients {
@@ -82,34 +101,11 @@ impl SerialChain {
                 }
             }
         }
-        for (index, parameter, bases) in &wanted.shapes {
-            let through = bases
-                .iter()
-                .map(|&basis| self.through(&self.bases[basis], Source::Parameter(*parameter), at, by, buffers));
-            out[*index] = through.sum::<Vector3<f64>>().into();
+        for argument in &wanted.arguments {
+            let motion = argument.axis.map_or_else(Vector3::zeros, |axis| by.1[axis]);
+            let through = argument.slopes.iter();
+            let sum = through.fold(motion, |sum, (slot, component, slope)| sum + by.0[*slot][*component] * *slope);
+            out[argument.index] = sum.into();
         }
-        // The motion itself, and the errors that change with the command.
-        for &(index, axis) in &wanted.commands {
-            let source = Source::Status(self.info.axes[axis].status);
-            let bases = at.used.iter().map(|&basis| &self.bases[basis]);
-            let through = bases.fold(by.1[axis], |sum, basis| sum + self.through(basis, source, at, by, buffers));
-            out[index] = through.into();
-        }
-    }
-
-    /// The derivative to `source` through the functions of a basis.
-    fn through(
-        &self,
-        basis: &FunctionBasis,
-        source: Source,
-        at: At<'_>,
-        by: ByErrorAndCommand<'_>,
-        (each, slopes): &mut Buffers,
-    ) -> Vector3<f64> {
-        if !basis.slopes_by(source, at.status, at.values, each, slopes) {
-            return Vector3::zeros();
-        }
-        let errors = basis.errors(at.values, slopes);
-        errors.map(|(slot, component, slope)| by.0[slot][component] * slope).sum()
     }
 }

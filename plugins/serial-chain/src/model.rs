@@ -317,7 +317,7 @@ impl KinematicModel for SerialChain {
             (_, false) => Derivatives::OfPosition(&slots),
             (_, true) => Derivatives::OfPositionAndRotation(&slots),
         };
-        let sorted = self.sorted(wanted);
+        let mut sorted = self.sorted(wanted, &used);
         for (index, status) in statuses.chunks_exact(width).enumerate() {
             work.errors.fill([0.0; 6]);
             for basis in used.iter().map(|&basis| &self.bases[basis]) {
@@ -335,14 +335,14 @@ impl KinematicModel for SerialChain {
             }
             out.positions[index] = work.pose.position.into();
             let range = index * wanted.len()..(index + 1) * wanted.len();
-            let at = At { status, values, used: &used };
+            self.slopes(&mut sorted, At { status, values }, &mut buffers);
             let pose = &work.pose;
             let by = (&pose.by_error[..], &pose.by_command[..]);
-            self.derivatives(&sorted, at, &work, by, (&mut buffers, &mut out.position_derivatives[range.clone()]));
+            self.derivatives(&sorted, &work, by, &mut out.position_derivatives[range.clone()]);
             if orientation {
                 out.orientations[index] = pose.quaternion();
                 let turns = (&pose.turn_by_error[..], &pose.turn_by_command[..]);
-                self.derivatives(&sorted, at, &work, turns, (&mut buffers, &mut out.rotation_derivatives[range]));
+                self.derivatives(&sorted, &work, turns, &mut out.rotation_derivatives[range]);
             }
         }
         Ok(())

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{PathItem, Result, SettingsError};
+use abbe_numerics::clipped_ends;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -52,12 +53,6 @@ pub fn between(radial: &RadialSensors) -> Option<f64> {
     Some((other - one).to_radians())
 }
 
-/// Fewest equal extremes that are told as clipped.
-const EQUAL: usize = 5;
-
-/// Part of the range by which equal readings may differ: rounding.
-const SAME: f64 = 1e-9;
-
 /// Fails for readings that stand still, move more or less than a spindle does, or are cut off at one end.
 pub fn check_sensor(run: &Run<'_>, name: &str, readings: &[f64], plausible: [f64; 2]) -> Result<()> {
     let [lowest, highest] =
@@ -76,52 +71,18 @@ pub fn check_sensor(run: &Run<'_>, name: &str, readings: &[f64], plausible: [f64
         );
         return Err(run.error(message).help("is it in the unit that its column says? else widen `plausible_um`"));
     }
-    for (end, word) in [(highest, "largest"), (lowest, "smallest")] {
-        let sign = if end == highest { 1.0 } else { -1.0 };
-        let at_end = Levels::of(readings, sign, SAME * range);
-        if at_end.is_clipped() {
-            let first = readings.iter().position(|value| *value == end).unwrap_or_default();
-            let message = format!(
-                "{name} reads its {word} value, {:.4} um, {} times, and the next ones {} times at most: it is clipped",
-                end * 1e3,
-                at_end.0[0].1,
-                at_end.nearby()
-            );
-            return Err(run
-                .error_at(first, message)
-                .help("set the sensor to the middle of its range, or centre the artefact"));
-        }
+    if let Some(end) = clipped_ends(readings).first() {
+        let first = readings.iter().position(|value| *value == end.value).unwrap_or_default();
+        let message = format!(
+            "{name} reads its {} value, {:.4} um, {} times, and the next ones {} times at most: it is clipped",
+            if end.is_largest { "largest" } else { "smallest" },
+            end.value * 1e3,
+            end.count,
+            end.nearby
+        );
+        return Err(run
+            .error_at(first, message)
+            .help("set the sensor to the middle of its range, or centre the artefact"));
     }
     Ok(())
-}
-
-/// The outermost values of readings and how often they are there.
-struct Levels(Vec<(f64, usize)>);
-
-impl Levels {
-    const COUNT: usize = 4;
-
-    fn of(readings: &[f64], sign: f64, same: f64) -> Self {
-        let mut levels: Vec<(f64, usize)> = Vec::new();
-        for value in readings.iter().map(|value| sign * value) {
-            match levels.iter().position(|level| level.0 <= value + same) {
-                Some(place) if levels[place].0 >= value - same => levels[place].1 += 1,
-                Some(place) => levels.insert(place, (value, 1)),
-                None => levels.push((value, 1)),
-            }
-            // What falls out at the end never comes back: what is further out stays.
-            levels.truncate(Self::COUNT);
-        }
-        Self(levels)
-    }
-
-    /// The most that one of the values next to the outermost is there.
-    fn nearby(&self) -> usize {
-        self.0[1..].iter().map(|level| level.1).max().unwrap_or(0)
-    }
-
-    /// A smooth signal reads its extreme at most 2.4 times as often as the values beside it, in any steps.
-    fn is_clipped(&self) -> bool {
-        self.0[0].1 >= EQUAL.max(5 * self.nearby())
-    }
 }

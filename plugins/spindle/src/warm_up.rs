@@ -5,7 +5,7 @@ use abbe_core::{
     Quantity, Result, SettingsError, positive,
 };
 use abbe_standards::thermal_drift::{range, slope_at_end, time_to_part};
-use abbe_thermal::{Fitted, Hold, Output, Reference, SensorLog, Structure, is_dead, stuck_part};
+use abbe_thermal::{Fitted, Hold, Output, Reference, SensorLog, Structure, exchanged, is_dead, stuck_part};
 use nalgebra::DMatrix;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -324,6 +324,7 @@ impl Estimate for WarmUp {
             tell_jump(data, name, data.required_numbers(name)?, times);
         }
         tell_gap(data, times);
+        exchanged(data).iter().for_each(|doubt| tracing::warn!("{doubt}"));
         if !self.temperatures.is_empty() {
             let log = self.log(data, times)?;
             let outputs = self.drift.iter().map(|name| {

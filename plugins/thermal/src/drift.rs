@@ -6,11 +6,12 @@ use abbe_core::{
     DataRow, Dataset, Error, Figure, Findings, PathItem, Quantity, Result, SettingsError, not_negative, positive,
 };
 use abbe_standards::thermal_drift::{largest_range, range, slope_at_end, time_to_part};
-use abbe_thermal::{is_dead, stuck_part};
+use abbe_thermal::{exchanged, in_another_unit, is_dead, stuck_part};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::settings::{TIME, quantity};
+use crate::states::temperatures;
 use crate::validate::{Limits, check_limits, limited};
 
 /// Drift of readings over time. ISO 230-3 calls it environmental temperature variation error where the machine stands, and thermal
@@ -150,7 +151,17 @@ impl DriftSettings {
             }
             findings.figures.extend(self.figures(times, &readings, run));
         }
+        let doubts = exchanged(data).or_else(|| self.other_unit(data));
+        findings.remarks.extend(doubts.map(|doubt| format!("{run}: {doubt}")));
         self.environment(data, rows, run, findings)
+    }
+
+    /// What is wrong with the unit of displacements of a run.
+    fn other_unit(&self, data: &Dataset) -> Option<String> {
+        let names = self.readings.iter().filter(|name| quantity(data, name) == Quantity::Length);
+        let lengths: Vec<(&str, &[f64])> =
+            names.filter_map(|name| Some((name.as_str(), data.numbers(name)?))).collect();
+        in_another_unit(&lengths, &temperatures(data))
     }
 
     /// All readings and angles of the judged rows.

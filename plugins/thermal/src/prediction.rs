@@ -80,10 +80,13 @@ impl PredictionSettings {
         }
         let known = Known::new(calibration)?;
         let mut all = [Sums::default(); KINDS.len()];
-        let mut details = Vec::new();
+        let (mut details, mut seen) = (Vec::new(), Vec::new());
         for data in data {
             let run = known.settings.run(data)?;
             let name = run_name(data);
+            if is_seen(calibration, data) {
+                seen.push(name.clone());
+            }
             let mut table = String::from("time_s,output,reading,predicted,standard_uncertainty\n");
             let mut of_run = [Sums::default(); KINDS.len()];
             for output in 0..run.outputs.len() {
@@ -101,6 +104,7 @@ impl PredictionSettings {
                 findings.remarks.push(format!("{}: {name} is predicted far better with {mistake}", fit.name));
             }
         }
+        let first = findings.figures.len();
         for ((_, unit, _), sums) in KINDS.iter().zip(&all).filter(|(_, sums)| sums.count > 0) {
             let figure = |what: &str, value| {
                 limited(Figure::new(&fit.name, what, value, unit), &format!("{what}_{unit}"), &self.limits)
@@ -121,6 +125,13 @@ impl PredictionSettings {
                     fit.name
                 ));
             }
+        }
+        if !seen.is_empty() {
+            let why = format!("{} is a run that the estimate was made from: this is no prediction", seen.join(", "));
+            for figure in findings.figures[first..].iter_mut().filter(|figure| figure.limit.is_some()) {
+                figure.inconclusive = Some(why.clone());
+            }
+            findings.remarks.push(format!("{}: {why}; name runs under `from` that it has not seen", fit.name));
         }
         findings.figures.extend(details);
         Ok(())
@@ -202,6 +213,17 @@ impl PredictionSettings {
         }
         Ok((kind, unit, sums))
     }
+}
+
+/// Whether an estimate was made from these rows: from as many of the same file.
+fn is_seen(calibration: &Calibration, data: &Dataset) -> bool {
+    let count = |place: usize| data.origins.iter().filter(|origin| origin.file == place).count();
+    data.files.iter().enumerate().any(|(place, file)| {
+        let name = file.display().to_string();
+        let used = calibration.data.iter().filter(|record| record.file == name);
+        let rows = used.flat_map(|record| &record.rows).map(|[first, last]| last - first + 1).sum::<usize>();
+        rows > 0 && rows == count(place)
+    })
 }
 
 /// What a calibration knows of thermal states.

@@ -5,7 +5,9 @@ use abbe_core::{
     FitReport, Identifiability, ModelRecord, NamedCovariance, PredictedStructure, Problem, Quantity, Result,
     SelectionByPrediction, SettingsError, Status, Unit,
 };
-use abbe_thermal::{Fitted, Output, PARTS, Readings, SensorLog, Structure, Tried, fit, select};
+use abbe_thermal::{
+    Fitted, Output, PARTS, Readings, SensorLog, Structure, Tried, exchanged, fit, in_another_unit, select,
+};
 use serde_json::{Value, json};
 
 use crate::settings::{Run, Settings, Uncertainty, gain_unit, quantity};
@@ -38,6 +40,20 @@ struct ThermalStates {
     settings: Settings,
 }
 
+/// What is wrong with the unit of displacements of a run.
+fn other_unit(run: &Run, data: &Dataset) -> Option<String> {
+    let lengths = run.outputs.iter().filter(|(_, quantity, _)| *quantity == Quantity::Length);
+    let lengths: Vec<(&str, &[f64])> =
+        lengths.map(|(name, _, readings)| (name.as_str(), readings.values.as_slice())).collect();
+    in_another_unit(&lengths, &temperatures(data))
+}
+
+/// All columns of temperatures of a run.
+pub fn temperatures(data: &Dataset) -> Vec<&[f64]> {
+    let columns = data.columns.iter().filter(|column| column.header.quantity == Quantity::Temperature);
+    columns.filter_map(|column| data.numbers(&column.header.name)).collect()
+}
+
 /// Part by which a smaller structure may predict worse.
 const WORSE: f64 = 0.02;
 
@@ -60,6 +76,10 @@ impl Estimate for ThermalStates {
             let is_temperature = |sensor: &usize| quantity(data, &log.names()[*sensor]) == Quantity::Temperature;
             let faults = (0..log.names().len()).filter(is_temperature).flat_map(|sensor| log.faults(sensor));
             faults.for_each(|fault| tracing::warn!("{name}: {}: {fault}", run_name(data)));
+        }
+        for (run, data) in runs.iter().zip(data) {
+            let doubts = exchanged(data).or_else(|| other_unit(run, data));
+            doubts.iter().for_each(|doubt| tracing::warn!("{name}: {}: {doubt}", run_name(data)));
         }
         if let Some([minutes, seconds]) = of_two_units(&logs) {
             let [minutes, seconds] = [minutes, seconds].map(|run| run_name(data[run]));

@@ -194,7 +194,10 @@ impl<'a> Log<'a> {
             log.sessions.push(session);
         }
         log.tools_age()?;
-        log.tell_copies();
+        if !log.tell_copies() {
+            let scatter = |quantity, method: &str| Some(settings.repeatability_um.get(method)?.of(quantity));
+            log.tell_copied_tools(scatter);
+        }
         Ok(log)
     }
 

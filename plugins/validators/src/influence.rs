@@ -179,7 +179,7 @@ fn places(problem: &Problem, rows: &[Row], of: &[usize]) -> String {
     let place = |row: &Row| {
         let stage = &problem.sets[row.set].name;
         match problem.origin(row.set, row.row) {
-            Some((file, origin)) => format!("{stage} ({}:{})", file.display(), origin.line),
+            Some((file, origin)) => format!("{stage} ({})", origin.in_file(file)),
             None => stage.clone(),
         }
     };

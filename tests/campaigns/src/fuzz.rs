@@ -13,6 +13,7 @@ mod readers;
 mod seeds;
 mod texts;
 
+use std::collections::BTreeSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -27,6 +28,9 @@ pub const LONGEST: usize = 1 << 14;
 
 /// How long one input may take.
 const SLOW: Duration = Duration::from_secs(10);
+
+/// Of how many inputs the kinds of refusal are counted: few of them mean that inputs end at the first check.
+const DEPTH_SHOWN: u64 = 20_000;
 
 /// Whether an input was taken, or why it was refused.
 pub type Answer = Result<(), String>;
@@ -54,6 +58,14 @@ impl Target {
         assert!(answer.as_ref().err().is_none_or(|why| !why.trim().is_empty()), "it is refused without a word");
         answer
     }
+}
+
+/// A refusal without what it quotes, and without numbers.
+fn kind_of(refusal: &str) -> String {
+    let outside = refusal.split(['`', '"', '\'']).step_by(2);
+    let words =
+        outside.flat_map(str::split_whitespace).filter(|word| word.bytes().all(|byte| byte.is_ascii_alphabetic()));
+    words.take(12).collect::<Vec<_>>().join(" ")
 }
 
 /// All targets.
@@ -88,7 +100,7 @@ pub fn run(seed: u64, count: u64, name: Option<&str>, kept: &Path) -> Report {
     }
     for (number, target) in targets.iter().enumerate() {
         let start = Instant::now();
-        let (mut taken, mut slowest) = (0_u64, Duration::ZERO);
+        let (mut taken, mut slowest, mut refusals) = (0_u64, Duration::ZERO, BTreeSet::new());
         for case in 0..count {
             let mut random = Random::new(seed ^ (number as u64 + 1) << 40, case);
             let input = mutator::input(&mut random, &target.seeds);
@@ -98,6 +110,9 @@ pub fn run(seed: u64, count: u64, name: Option<&str>, kept: &Path) -> Report {
             let wrong = match answer {
                 Ok(answer) => {
                     taken += u64::from(answer.is_ok());
+                    if let (Err(why), 0..DEPTH_SHOWN) = (&answer, case) {
+                        refusals.insert(kind_of(why));
+                    }
                     (clock.elapsed() > SLOW).then_some("it takes long")
                 }
                 Err(_) => Some("it panics"),
@@ -111,8 +126,9 @@ pub fn run(seed: u64, count: u64, name: Option<&str>, kept: &Path) -> Report {
         }
         all += count;
         text.push_str(&format!(
-            "{:<20} {count} executions, {taken} taken, {:.1} s, the slowest {:.3} s\n",
+            "{:<20} {count} executions, {taken} taken, {} kinds of refusal, {:.1} s, the slowest {:.3} s\n",
             target.name,
+            refusals.len(),
             start.elapsed().as_secs_f64(),
             slowest.as_secs_f64()
         ));

@@ -229,7 +229,7 @@ impl Problem {
     /// An error with the place where a row was read.
     pub fn error_at_row(&self, set: SetIndex, row: RowIndex, error: Error) -> Error {
         match self.origin(set, row) {
-            Some((file, origin)) => error.at(file, origin.line, None),
+            Some((file, origin)) => origin.blame(error, file),
             None => error,
         }
     }

@@ -13,6 +13,7 @@ use super::theirs::take;
 use super::{slice, slice_mut};
 use crate::abi::*;
 use crate::peer::Failure;
+use crate::questions::{check_poses, check_rows, guarded};
 use crate::served::Served;
 #[cfg(feature = "sdk")]
 use crate::served::create;
@@ -46,25 +47,21 @@ unsafe extern "C" fn release(handle: *mut c_void) {
 /// # Safety
 /// `reply` is null or points to a reply that is valid during the call.
 unsafe fn answer(reply: *const AbbeReply, work: impl FnOnce() -> Result<(String, Vec<Arc<Served>>), Failure>) -> u32 {
-    let failure = match catch_unwind(AssertUnwindSafe(work)) {
-        Ok(Ok((text, objects))) => {
+    match guarded(work) {
+        Ok((text, objects)) => {
             // SAFETY: as this function asks for.
             unsafe {
                 say(reply, &text);
                 objects.into_iter().for_each(|object| hand_over(reply, give(object)));
             }
-            return ABBE_OK;
+            ABBE_OK
         }
-        Ok(Err(failure)) => failure,
-        Err(panic) => {
-            let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
-            let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
-            Failure { status: ABBE_PANICKED, text }
+        Err(failure) => {
+            // SAFETY: as this function asks for.
+            unsafe { say(reply, &failure.text) };
+            failure.status
         }
-    };
-    // SAFETY: as this function asks for.
-    unsafe { say(reply, &failure.text) };
-    failure.status
+    }
 }
 
 /// Writes the text of a reply, if it takes one.
@@ -116,11 +113,11 @@ unsafe extern "C" fn call(
     }
 }
 
-/// The variables that derivatives are wanted for, checked against what the model has.
-fn variables(wanted: &[AbbeVariable], parameters: usize, axes: usize) -> Result<Vec<Variable>, Failure> {
+/// The variables that derivatives are wanted for.
+fn variables(wanted: &[AbbeVariable]) -> Result<Vec<Variable>, Failure> {
     let variable = |variable: &AbbeVariable| match (variable.kind, variable.index as usize) {
-        (0, index) if index < parameters => Ok(Variable::Parameter(index)),
-        (1, index) if index < axes => Ok(Variable::Command(index)),
+        (0, index) => Ok(Variable::Parameter(index)),
+        (1, index) => Ok(Variable::Command(index)),
         _ => Err(Failure::of("the other side", format!("wants a derivative to {variable:?}, which is not there"))),
     };
     wanted.iter().map(variable).collect()
@@ -138,13 +135,10 @@ unsafe extern "C" fn poses(handle: *mut c_void, batch: *const AbbePoses, reply: 
             served.machine(|machine| {
                 let statuses = slice(batch.statuses, batch.status_count)?;
                 let values = slice(batch.values, batch.value_count)?;
-                let wanted = slice(batch.wanted, batch.wanted_count)?;
-                let info = machine.info();
-                let wanted = &variables(wanted, info.parameters.len(), info.axes.len())?;
-                if statuses.len() as u64 != batch.pose_count.saturating_mul(info.status.len() as u64)
-                    || values.len() != info.parameters.len()
-                {
-                    return Err(Failure::of("the other side", "gave statuses or values of another machine"));
+                let wanted = &variables(slice(batch.wanted, batch.wanted_count)?)?;
+                let question = PoseBatch { statuses, values, wanted, orientation: turned };
+                if check_poses(machine.info(), &question)? as u64 != batch.pose_count {
+                    return Err(Failure::of("the other side", "gave another number of statuses than of poses"));
                 }
                 let turns = if turned && !batch.rotation_derivatives.is_null() { derivatives } else { 0 };
                 let out = PosesMut {
@@ -153,7 +147,7 @@ unsafe extern "C" fn poses(handle: *mut c_void, batch: *const AbbePoses, reply: 
                     position_derivatives: slice_mut(batch.position_derivatives.cast(), derivatives)?,
                     rotation_derivatives: slice_mut(batch.rotation_derivatives.cast(), turns)?,
                 };
-                Ok(machine.evaluate(PoseBatch { statuses, values, wanted, orientation: turned }, out)?)
+                Ok(machine.evaluate(question, out)?)
             })?;
             Ok((String::new(), Vec::new()))
         })
@@ -174,14 +168,8 @@ unsafe extern "C" fn equations(
             let Served::Observations(observations, _) = &*handle.cast::<Served>() else {
                 return Err(Failure { status: ABBE_UNKNOWN_METHOD, text: "this object is no observations".to_owned() });
             };
-            let info = observations.info();
-            let all = &info.layout.rows;
-            let indices = slice(rows.rows, rows.row_count)?.iter().map(|&row| RowIndex(row as usize));
-            let indices: Vec<RowIndex> = indices.collect();
-            let poses: usize = indices.iter().filter_map(|row| all.get(row.0)).map(|row| row.poses).sum();
-            if indices.iter().any(|row| row.0 >= all.len()) || poses as u64 != rows.pose_count {
-                return Err(Failure::of("the other side", "asked for rows that are not there, or with other poses"));
-            }
+            let indices: Vec<RowIndex> =
+                slice(rows.rows, rows.row_count)?.iter().map(|&row| RowIndex(row as usize)).collect();
             let turned = if rows.orientations.is_null() { 0 } else { rows.pose_count };
             let batch = RowBatch {
                 rows: &indices,
@@ -190,9 +178,7 @@ unsafe extern "C" fn equations(
                 own: slice(rows.own, rows.own_count)?,
                 inputs: slice(rows.inputs, rows.input_count)?,
             };
-            if batch.own.len() != info.unknowns.len() || batch.inputs.len() != info.inputs.len() {
-                return Err(Failure::of("the other side", "gave values of other unknowns or inputs"));
-            }
+            check_rows(observations.info(), &batch)?;
             let mut out = Equations::default();
             observations.evaluate(batch, &mut out)?;
             write_equations(&out, sink)?;

@@ -161,6 +161,13 @@ pub(super) fn variable(number: f64) -> Variable {
     }
 }
 
+/// Whether a message has room for poses with derivatives to so many variables.
+pub(super) fn carries(poses: usize, wanted: usize) -> bool {
+    // Three numbers of a position and four of an orientation; three of each for every derivative.
+    let numbers = (poses as u64).saturating_mul((wanted as u64).saturating_mul(6).saturating_add(7));
+    numbers <= LONGEST
+}
+
 pub(super) fn points(numbers: &[f64]) -> (&[[f64; 3]], &[f64]) {
     numbers.as_chunks()
 }

@@ -56,7 +56,7 @@ fn outliers(fit: &FitResult) -> String {
     let all = order.len();
     let rows = order.into_iter().take(MOST_OUTLIERS).map(|outlier| {
         vec![
-            Cell::text(format!("{}:{} (row {})", outlier.file, outlier.line, outlier.row)),
+            Cell::text(format!("{} (row {})", outlier.place(), outlier.row)),
             Cell::text(&outlier.stage),
             Cell::figure(short(outlier.residual_um)),
             Cell::figure(format!("{:.2}", outlier.weight)),

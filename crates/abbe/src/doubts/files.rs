@@ -32,14 +32,14 @@ fn of_files(fit: &Fit) -> BTreeMap<(&str, &Path), Residuals> {
     let problem = &fit.problem;
     let Ok(residuals) = problem.residuals(&problem.values_of(&fit.calibration)) else { return BTreeMap::new() };
     let outliers: BTreeSet<(&str, &str, usize)> =
-        fit.calibration.outliers.iter().map(|row| (row.stage.as_str(), row.file.as_str(), row.line)).collect();
+        fit.calibration.outliers.iter().map(|row| (row.stage.as_str(), row.file.as_str(), row.row)).collect();
     let rows = residuals.into_iter().zip(problem.standard_uncertainties()).zip(problem.constraints());
     let mut found: BTreeMap<(&str, &Path), Residuals> = BTreeMap::new();
     for (((residual, u), is_known), (set, row)) in rows.zip(problem.equation_rows()) {
         let Some((file, origin)) = problem.origin(set, row).filter(|_| !is_known) else { continue };
         let stage = problem.sets[set].name.as_str();
         let is_outlier =
-            !outliers.is_empty() && outliers.contains(&(stage, file.display().to_string().as_str(), origin.line));
+            !outliers.is_empty() && outliers.contains(&(stage, file.display().to_string().as_str(), origin.row));
         if !is_outlier {
             found.entry((stage, file)).or_default().add(Residuals { sum: (residual / u).powi(2), count: 1 });
         }

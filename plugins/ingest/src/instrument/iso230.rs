@@ -12,8 +12,8 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::table::{Rows, number, stage_of};
-use crate::assembly::{Filters, Paths};
 use crate::log::shown;
+use abbe_assembly::{Filters, Paths};
 
 abbe_core::register!(
     Ingest,

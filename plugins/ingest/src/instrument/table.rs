@@ -9,7 +9,7 @@ use abbe_core::{
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use crate::assembly::{Assembly, Filters, Join, Paths, emptied};
+use abbe_assembly::{Assembly, Filters, Join, Paths, emptied};
 
 /// The file of an instrument or of other software.
 #[derive(Debug, Deserialize, JsonSchema)]

@@ -12,7 +12,7 @@ use super::far::Bounds;
 use super::matched::{Aborted, Repeats, Time, Told, Wanted, matched};
 use super::plan::Plan;
 use super::record::{Builder, Log};
-use crate::assembly::{Assembly, Filters, Paths, emptied};
+use abbe_assembly::{Assembly, Filters, Paths, emptied};
 
 /// The log of a measuring program.
 #[derive(Debug, Deserialize, JsonSchema)]

@@ -15,12 +15,24 @@ const ROUNDED: f64 = 60.0;
 /// Fewest series of readings that are no copies by chance.
 const FEWEST: usize = 3;
 
+/// Fewest readings of one tool that are no copies by chance, and the step of their digits over their scatter below which they are none.
+const COPIED: usize = 10;
+const FINE: f64 = 0.5;
+
+/// The smallest difference of two readings: the step of their digits.
+fn step(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).fold(f64::INFINITY, f64::min)
+}
+
 /// Times of the clock that no slip of it explains.
 const BY_FAR: f64 = 5.0;
 
 impl Log<'_> {
-    /// Tells of a method whose readings in a session are all those of the session before: they were copied, or the setter stood.
-    pub(super) fn tell_copies(&self) {
+    /// Tells of a method whose readings in a session are all those of the session before: they were copied, or the setter stood. True if
+    /// there is one.
+    pub(super) fn tell_copies(&self) -> bool {
+        let mut is_told = false;
         type Values<'a> = Vec<(&'a str, Quantity, Vec<f64>)>;
         for pair in self.sessions.windows(2) {
             let methods: BTreeSet<&str> = pair[1].master.keys().map(|(_, method)| method.as_str()).collect();
@@ -38,6 +50,7 @@ impl Log<'_> {
                 });
                 let same = now.iter().filter(|values| before.contains(values)).count();
                 if same == now.len() && same >= FEWEST {
+                    is_told = true;
                     tracing::warn!(
                         "all readings by {method} in session {} are those of session {}: were they copied, or does the setter stand?",
                         pair[1].name,
@@ -45,6 +58,43 @@ impl Log<'_> {
                     );
                 }
             }
+        }
+        is_told
+    }
+
+    /// Tells of a tool whose readings in some sessions are those of an earlier one: they were copied. Coarse digits, which agree by chance,
+    /// do not count. `repeatability` is the standard deviation of a reading by method and quantity, mm.
+    pub(super) fn tell_copied_tools(&self, repeatability: impl Fn(Quantity, &str) -> Option<f64>) {
+        let mut series: BTreeMap<(&str, Quantity, &str), Vec<(usize, Vec<f64>)>> = BTreeMap::new();
+        for (session, visit) in
+            self.sessions.iter().enumerate().flat_map(|(at, session)| session.visits.iter().map(move |it| (at, it)))
+        {
+            for ((quantity, method), readings) in &visit.repeats {
+                let values = readings.iter().map(|reading| reading.value).collect();
+                series.entry((&visit.tool, *quantity, method)).or_default().push((session, values));
+            }
+        }
+        // Tool, later and earlier session, copied readings.
+        let mut copied: BTreeMap<&str, (usize, usize, usize)> = BTreeMap::new();
+        for ((tool, quantity, method), visits) in &series {
+            let all: Vec<f64> = visits.iter().flat_map(|(_, values)| values.iter().copied()).collect();
+            let scatter = repeatability(*quantity, method).unwrap_or_default();
+            if step(all) >= FINE * scatter {
+                continue;
+            }
+            for (place, (session, values)) in visits.iter().enumerate() {
+                if let Some((earlier, _)) = visits[..place].iter().find(|(_, others)| others == values) {
+                    copied.entry(*tool).or_insert((*session, *earlier, 0)).2 += values.len();
+                }
+            }
+        }
+        for (tool, (later, earlier, count)) in copied.into_iter().filter(|(_, (.., count))| *count >= COPIED) {
+            tracing::warn!(
+                "{count} readings of tool {tool} are those of an earlier session to the last digit (the first: session {} as session {}): \
+                 were they copied?",
+                self.sessions[later].name,
+                self.sessions[earlier].name
+            );
         }
     }
 

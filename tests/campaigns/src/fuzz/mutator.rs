@@ -1,5 +1,7 @@
 //! Random changes of seeds.
 
+use std::ops::Range;
+
 use super::LONGEST;
 use crate::Random;
 use crate::bad_inputs::{NUMBERS, TEXTS};
@@ -17,7 +19,7 @@ pub fn input(random: &mut Random, seeds: &[Vec<u8>]) -> Vec<u8> {
 fn change(random: &mut Random, input: &mut Vec<u8>, seeds: &[Vec<u8>]) {
     let at = random.count(0, input.len() + 1);
     let end = (at + random.of(&[1, 1, 2, 4, 16, 64])).min(input.len());
-    match random.count(0, 12) {
+    match random.count(0, 14) {
         // A bit.
         0 if at < input.len() => input[at] ^= 1 << random.count(0, 8),
         // A byte.
@@ -48,11 +50,26 @@ fn change(random: &mut Random, input: &mut Vec<u8>, seeds: &[Vec<u8>]) {
             *input = lines.concat();
         }
         10 => input.truncate(at),
+        // A word in the place of another one, as a whole: what is made so is read further than what is cut anywhere.
+        11 | 12 => {
+            let other = &seeds[random.count(0, seeds.len())];
+            let new = word(other, random.count(0, other.len() + 1));
+            let old = word(input, at);
+            input.splice(old, other[new].iter().copied());
+        }
         _ => {
             let byte = random.of(b"[{(\"',;9-. \n\0\xff");
             input.splice(at..at, std::iter::repeat_n(byte, random.of(&[1, 3, 20, 300])));
         }
     }
+}
+
+/// The next word after a place.
+fn word(text: &[u8], at: usize) -> Range<usize> {
+    let is_part = |byte: &u8| byte.is_ascii_alphanumeric() || b"_-.*+".contains(byte);
+    let start = text[at..].iter().position(is_part).map_or(text.len(), |start| at + start);
+    let end = text[start..].iter().position(|byte| !is_part(byte)).map_or(text.len(), |length| start + length);
+    start..end
 }
 
 /// Replaces the next number after a place.

@@ -45,7 +45,7 @@ pub fn targets() -> Vec<Target> {
 }
 
 /// A machine of three axes, whose every error is a little off.
-fn machine() -> (Arc<dyn KinematicModel>, Vec<f64>) {
+pub fn machine() -> (Arc<dyn KinematicModel>, Vec<f64>) {
     let settings = json!({
         "chain": "w b X Y Z t",
         "tool_length_mm": 100,

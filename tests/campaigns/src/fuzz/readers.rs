@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use abbe_core::{Build, Context, Kind, Registry, Values};
+use abbe_files::Packing;
 use serde_json::{Value, json};
 
 use super::Target;
@@ -20,8 +21,14 @@ pub fn targets() -> Vec<Target> {
             abbe_table::parse(Path::new("table.csv"), input).map(drop).map_err(|error| error.to_string())
         }),
         reader("csv-reader", "csv", json!({ "path": "input" }), tables.clone()),
+        reader("packed-csv", "csv", json!({ "path": "input" }), packed(&tables)),
         survey(tables),
     ];
+    // A program without the libraries of these formats refuses them.
+    for plugin in ["parquet", "arrow-ipc"] {
+        let settings = json!({ "path": "input", "no_data": [""] });
+        targets.push(reader(plugin, plugin, settings, folder(&format!("tests/fuzz/seeds/{plugin}"), &[""])));
+    }
     for control in ["linuxcnc", "dprnt", "siemens", "heidenhain"] {
         let plugin = if control == "dprnt" { control.to_owned() } else { format!("{control}-log") };
         let settings = json!({ "path": "input", "plan": "plan.csv", "tool_length_mm": 0 });
@@ -54,6 +61,12 @@ fn registry() -> Registry {
 /// The first lines of a table.
 fn head(table: Vec<u8>) -> Vec<u8> {
     table.split_inclusive(|byte| *byte == b'\n').take(12).flatten().copied().collect()
+}
+
+/// Tables as gzip and Zstandard pack them.
+fn packed(tables: &[Vec<u8>]) -> Vec<Vec<u8>> {
+    let ways = [Packing::Gzip, Packing::Zstandard];
+    ways.into_iter().flat_map(|packing| tables.iter().map(move |table| packing.pack(table.clone()))).collect()
 }
 
 /// A folder in memory, if there is one.

@@ -58,7 +58,7 @@ pub fn targets() -> Vec<Target> {
         Target::new("run-record", folder("tests/frozen", &["run-1.json", "run-1-library.json"]), |input| {
             answer(RunRecord::from_json(&text(input)))
         }),
-        Target::new("residuals", vec![residuals()], |input| answer(Residuals::from_csv(&text(input)))),
+        Target::new("residuals", folder("tests/fuzz/seeds/residuals", &[".csv"]), residuals),
     ]
 }
 
@@ -120,6 +120,11 @@ fn calibration(input: &[u8]) -> Answer {
     Ok(())
 }
 
-fn residuals() -> Vec<u8> {
-    Residuals::default().to_csv().expect("a table without rows").into_bytes()
+/// What is read can be written and read again, with as many rows.
+fn residuals(input: &[u8]) -> Answer {
+    let read = Residuals::from_csv(&text(input)).map_err(|error| error.to_string())?;
+    let written = read.to_csv().map_err(|error| error.to_string())?;
+    let again = Residuals::from_csv(&written).expect("what was written is read");
+    assert_eq!((again.rows.len(), &again.labels), (read.rows.len(), &read.labels));
+    Ok(())
 }

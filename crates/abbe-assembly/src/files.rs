@@ -8,15 +8,15 @@ use abbe_core::{Context, matches};
 
 /// A path in the settings.
 #[derive(Debug)]
-pub(crate) struct Source {
+pub struct Source {
     /// The path, with its `*` and `?` if it has any.
-    pub(crate) path: PathBuf,
+    pub path: PathBuf,
     pattern: Option<String>,
 }
 
 impl Source {
     /// Fails if a folder is a pattern.
-    pub(crate) fn new(path: &str, context: &Context) -> Result<Self, String> {
+    pub fn new(path: &str, context: &Context) -> Result<Self, String> {
         let is_pattern = |text: &str| text.contains(['*', '?']);
         let written = Path::new(path);
         if written.parent().and_then(Path::to_str).is_some_and(is_pattern) {
@@ -27,7 +27,7 @@ impl Source {
     }
 
     /// The files, in natural order, and whatever else matches a pattern; none only if nothing does.
-    pub(crate) fn files(&self) -> Vec<PathBuf> {
+    pub fn files(&self) -> Vec<PathBuf> {
         let Some(pattern) = &self.pattern else { return vec![self.path.clone()] };
         let folder = match self.path.parent() {
             Some(folder) if folder != Path::new("") => folder,

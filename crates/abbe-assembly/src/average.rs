@@ -13,7 +13,7 @@ const TURNED: f64 = 1e-3;
 /// Means of repeated rows.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Average {
+pub struct Average {
     /// The column whose labels tell the series apart, e.g. `file`.
     over: String,
     /// Columns of labels that have to agree. If a series has several rows with the same labels, its first row is
@@ -27,7 +27,7 @@ pub(crate) struct Average {
 
 impl Average {
     /// One row for every group of rows, in the order of the first of each: the means of all numbers.
-    pub(crate) fn of(&self, data: &Dataset) -> Result<Dataset> {
+    pub fn of(&self, data: &Dataset) -> Result<Dataset> {
         let labels = |setting: &str, name: &str| {
             abbe_table::labels(data, name).map_err(|error| Error {
                 place: None,
@@ -123,10 +123,11 @@ fn median(mut values: Vec<f64>) -> f64 {
 fn same_angles(data: &Dataset, header: &str, angles: &[f64], groups: &[Vec<DataRow>]) -> Result<()> {
     for rows in groups {
         if let Some(other) = rows.iter().find(|&&row| (angles[row] - angles[rows[0]]).abs() > TURNED) {
-            let (file, line) = (data.origins[rows[0]].file, data.origins[rows[0]].line);
+            let first = data.origins[rows[0]];
             let message = format!(
-                "`{header}` differs from that of line {line} of `{}`, with which this row would be averaged",
-                data.files[file].display()
+                "`{header}` differs from that of {} of `{}`, with which this row would be averaged",
+                first.in_words(),
+                data.files[first.file].display()
             );
             return Err(data
                 .error_at(*other, message)

@@ -9,7 +9,7 @@ use serde::Deserialize;
 /// Readings in passing: columns for the direction (`dir_X`) and the velocity (`velocity_X_mm_per_s`) of axes.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Motion {
+pub struct Motion {
     /// The linear axes that move along the path, by the names of their columns without unit.
     axes: Vec<String>,
     /// The column whose labels tell runs of one file apart. The rows of a run stand in the order in which they were passed.
@@ -42,7 +42,7 @@ impl Motion {
     /// Adds the columns, and says which rows stay.
     ///
     /// Fails for columns that are missing or there already, and where times do not grow along a run.
-    pub(crate) fn add(&self, data: &mut Dataset) -> Result<Vec<bool>> {
+    pub fn add(&self, data: &mut Dataset) -> Result<Vec<bool>> {
         let wrong = |error: Error, key: &str| Error {
             place: None,
             setting: ["motion", key].map(|key| PathItem::Key(key.to_owned())).into(),

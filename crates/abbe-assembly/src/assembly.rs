@@ -16,27 +16,30 @@ use abbe_table::Layout;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
+use crate::average::Average;
 use crate::files::Source;
 use crate::motion::Motion;
 
 /// Columns and listed labels.
-pub(crate) type Filters = BTreeMap<String, Vec<Label>>;
+pub type Filters = BTreeMap<String, Vec<Label>>;
 
 /// Columns with their units, and the range of the rows that stay.
-pub(crate) type Ranges = BTreeMap<String, [f64; 2]>;
+pub type Ranges = BTreeMap<String, [f64; 2]>;
 
+/// The setting `path`.
 #[derive(Debug, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "a path or a list of paths was expected")]
-pub(crate) enum Paths {
+pub enum Paths {
     /// One path or pattern.
     One(String),
     /// Several.
     Many(Vec<String>),
 }
 
+/// The setting `join`.
 #[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Join {
+pub struct Join {
     /// The CSV file of the table, relative to the recipe.
     table: String,
     /// The column that both have and whose labels are looked up; in the table each occurs once. For `file`, the table
@@ -66,10 +69,10 @@ fn constants(written: BTreeMap<String, Label>) -> Result<BTreeMap<String, Consta
 }
 
 /// What makes a file a data set.
-type Load<'a> = &'a dyn Fn(&Path) -> Result<Dataset>;
+pub type Load<'a> = &'a dyn Fn(&Path) -> Result<Dataset>;
 
 /// Files, and what is done to their rows.
-pub(crate) struct Assembly {
+pub struct Assembly {
     sources: Vec<Source>,
     constants: BTreeMap<String, Constant>,
     join: Option<(PathBuf, String)>,
@@ -79,11 +82,12 @@ pub(crate) struct Assembly {
     within: Ranges,
     /// One table stands in the place of all files.
     is_one_table: bool,
+    average: Option<Average>,
 }
 
 impl Assembly {
     /// Fails for settings that are none.
-    pub(crate) fn new(
+    pub fn new(
         path: Paths,
         constants: BTreeMap<String, Label>,
         join: Option<Join>,
@@ -107,21 +111,32 @@ impl Assembly {
             motion: None,
             within: Ranges::new(),
             is_one_table: false,
+            average: None,
         })
     }
 
-    /// The same with columns for the motion of axes, and with the rows of these ranges only.
-    pub(crate) fn in_passing(self, motion: Option<Motion>, within: Ranges) -> Self {
-        Self { motion, within, ..self }
+    /// The same with columns for the motion of axes, and with the rows of these ranges only. Fails for ranges that are none.
+    pub fn in_passing(self, motion: Option<Motion>, within: Ranges) -> Result<Self, SettingsError> {
+        let is_none = |[from, to]: &[f64; 2]| from.is_nan() || to.is_nan() || from > to;
+        if let Some((header, [from, to])) = within.iter().find(|(_, range)| is_none(range)) {
+            let error = SettingsError::new(header, format!("{from} to {to} is no range")).help("write `[from, to]`");
+            return Err(error.under([PathItem::Key("within".to_owned())]));
+        }
+        Ok(Self { motion, within, ..self })
+    }
+
+    /// The same with means of repeated rows, taken in the end.
+    pub fn averaged(self, average: Option<Average>) -> Self {
+        Self { average, ..self }
     }
 
     /// The same with one table in the place of all files. It is named as the first of them.
-    pub(crate) fn of_one_table(self) -> Self {
+    pub fn of_one_table(self) -> Self {
         Self { is_one_table: true, ..self }
     }
 
     /// The files that it reads.
-    pub(crate) fn inputs(&self) -> Vec<InputFile> {
+    pub fn inputs(&self) -> Vec<InputFile> {
         let input = |setting| move |path| InputFile { setting, path };
         let files = self.sources.iter().flat_map(|source| match source.files() {
             files if files.is_empty() => vec![source.path.clone()],
@@ -132,12 +147,21 @@ impl Assembly {
     }
 
     /// The columns of the data set, from what `load` tells of each file without rows.
-    pub(crate) fn without_rows(&self, load: Load<'_>) -> Result<Dataset> {
-        Ok(self.assemble(load, &|path| without_rows(path, &Layout::default()))?.0)
+    pub fn without_rows(&self, load: Load<'_>) -> Result<Dataset> {
+        // What `read` does, on tables without rows: so the columns cannot differ.
+        self.mean(self.assemble(load, &|path| without_rows(path, &Layout::default()))?.0)
+    }
+
+    /// The data set after the means are taken.
+    fn mean(&self, data: Dataset) -> Result<Dataset> {
+        match &self.average {
+            Some(average) => average.of(&data),
+            None => Ok(data),
+        }
     }
 
     /// The data set, from what `load` reads of each file.
-    pub(crate) fn read(&self, load: Load<'_>) -> Result<Dataset> {
+    pub fn read(&self, load: Load<'_>) -> Result<Dataset> {
         let (data, mut stays) = self.assemble(load, &abbe_table::read)?;
         for (header, [from, to]) in &self.within {
             let (name, quantity, factor) = Quantity::of_column(header);
@@ -161,7 +185,7 @@ impl Assembly {
             }
         }
         match stays.contains(&true) {
-            true => Ok(selected(data, &stays)),
+            true => self.mean(selected(data, &stays)),
             false if self.motion.is_some() || !self.within.is_empty() => Err(Error::data(
                 "no row is left after `motion`, `within`, `ignore` and `keep`",
             )
@@ -227,14 +251,22 @@ impl Assembly {
 }
 
 /// A table without its rows.
-pub(crate) fn without_rows(path: &Path, layout: &Layout) -> Result<Dataset> {
+pub fn without_rows(path: &Path, layout: &Layout) -> Result<Dataset> {
     let headers = abbe_table::read_headers_laid_out(path, layout)?;
     let columns = headers.into_iter().map(abbe_table::empty_column).collect();
     Ok(Dataset { columns, files: vec![path.to_owned()], ..Dataset::default() })
 }
 
+/// Tells how many rows of a file are left out because a number was not measured.
+pub fn tell_left_out(path: &Path, left_out: usize) {
+    if left_out > 0 {
+        let [holds, are] = if left_out == 1 { ["row holds", "is"] } else { ["rows hold", "are"] };
+        tracing::warn!("{}: {left_out} {holds} a mark of `no_data` and {are} left out", path.display());
+    }
+}
+
 /// The columns of a data set that had to be read to know them.
-pub(crate) fn emptied(data: Dataset) -> Dataset {
+pub fn emptied(data: Dataset) -> Dataset {
     let columns = data.headers().into_iter().map(abbe_table::empty_column).collect();
     Dataset { columns, origins: Vec::new(), ..data }
 }
@@ -291,7 +323,10 @@ fn add_file_column(data: &mut Dataset) -> Result<bool> {
     if data.column("file").is_some() {
         return Ok(false);
     }
-    let stem = |path: &PathBuf| path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+    let stem = |path: &PathBuf| {
+        let unpacked = abbe_files::without_packing(path);
+        unpacked.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
+    };
     let stems: Vec<String> = data.files.iter().map(stem).collect();
     let mut first: BTreeMap<&str, usize> = BTreeMap::new();
     for (index, (path, stem)) in data.files.iter().zip(&stems).enumerate() {
@@ -317,8 +352,10 @@ fn join(data: &mut Dataset, table: &Dataset, on: &str, by_file: bool) -> Result<
     let path = table.files.first().map(PathBuf::as_path).unwrap_or(Path::new(""));
     let mut rows = Vec::new();
     for (row, (label, origin)) in DataRow::enumerate(labels.iter().zip(&data.origins)) {
-        let name = data.files[origin.file].file_name().and_then(|name| name.to_str()).filter(|_| by_file);
-        match keys.get(label.as_str()).or_else(|| keys.get(name?)) {
+        let file = &data.files[origin.file];
+        let named = |file: &Path| keys.get(file.file_name().and_then(|name| name.to_str()).filter(|_| by_file)?);
+        let of_label = keys.get(label.as_str());
+        match of_label.or_else(|| named(file)).or_else(|| named(&abbe_files::without_packing(file))) {
             Some(&found) => rows.push(found),
             None => {
                 let error = data.error_at(row, format!("{on} `{label}` is not in the table `{}`", path.display()));

@@ -1,0 +1,359 @@
+//! Tables of files that hold columns and not text: the same meaning as a table in CSV.
+
+use std::borrow::Cow;
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use abbe_core::{Column, ColumnHeader, Dataset, Error, Quantity, Result, RowOrigin, Values};
+
+use crate::empty_column;
+use crate::layout::{Layout, Unit};
+use crate::number::{help_for, number_held, number_of, shown};
+use crate::parse::LONGEST_CELL;
+
+/// A column of a file: its name, and its unit if the file states one beside the name.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Field {
+    /// The name, with its unit or without.
+    pub name: String,
+    /// The unit that the file states: the symbol of a suffix (`mm`, `um/m`) or of a unit that people write in (`in`).
+    pub unit: Option<String>,
+}
+
+/// What a cell holds.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Cell<'a> {
+    /// Nothing: an empty cell of a table in CSV.
+    Missing,
+    /// A number.
+    Number(f64),
+    /// A whole number.
+    Whole(i128),
+    /// A text.
+    Text(Cow<'a, str>),
+}
+
+/// The cells of a column, in some rows that follow each other.
+pub trait ColumnCells {
+    /// The cell of a row, from 0.
+    fn cell(&self, row: usize) -> Cell<'_>;
+}
+
+/// A column of the data set, and where it stands in the file.
+struct Taken {
+    header: ColumnHeader,
+    field: usize,
+    unit: Option<Unit>,
+}
+
+/// The columns that a layout takes of a file: `columns` if it has some, else all.
+pub struct NamedColumns {
+    path: PathBuf,
+    taken: Vec<Taken>,
+}
+
+impl NamedColumns {
+    /// Fails for names that are missing or there twice, and for units that are not known or contradict a name.
+    pub fn new(path: &Path, fields: &[Field], layout: &Layout) -> Result<Self> {
+        let wrong = |error: Error| error.in_file(path);
+        let mut taken: Vec<Taken> = Vec::new();
+        match &layout.columns {
+            Some(columns) => {
+                for (name, source) in columns {
+                    let field = place_of(&source.column, fields).map_err(wrong)?;
+                    let header = ColumnHeader::parse(name);
+                    let unit = unit_of(&header, source.unit, &fields[field]).map_err(wrong)?;
+                    taken.push(Taken { header, field, unit });
+                }
+            }
+            None => {
+                for (index, field) in fields.iter().enumerate() {
+                    let (header, unit) = named(field).map_err(wrong)?;
+                    taken.push(Taken { header, field: index, unit });
+                }
+                check_names(&taken).map_err(wrong)?;
+            }
+        }
+        if taken.is_empty() {
+            return Err(wrong(Error::usage("the file has no columns").help("one with measurements was expected")));
+        }
+        Ok(Self { path: path.to_owned(), taken })
+    }
+
+    /// The columns of the data set.
+    pub fn headers(&self) -> Vec<ColumnHeader> {
+        self.taken.iter().map(|column| column.header.clone()).collect()
+    }
+
+    /// The columns in the file, by their indices, in the order of [`NamedColumns::headers`].
+    pub fn fields(&self) -> Vec<usize> {
+        self.taken.iter().map(|column| column.field).collect()
+    }
+}
+
+/// The header of a column that is taken as the file names it, and the unit of its numbers if that is another one.
+fn named(field: &Field) -> Result<(ColumnHeader, Option<Unit>)> {
+    let name = field.name.trim();
+    let header = ColumnHeader::parse(name);
+    let Some(symbol) = stated(field) else { return Ok((header, None)) };
+    // A name may end in its unit: `scale_um_per_m` is a ratio as `dir_X` is, which has none.
+    if header.name != name || !matches!(header.quantity, Quantity::Label | Quantity::Ratio) {
+        let unit = unit_of(&header, None, field)?;
+        return Ok((header, unit));
+    }
+    let with_suffix = ColumnHeader::parse(&format!("{name}_{}", as_suffix(symbol)));
+    if with_suffix.name == name && with_suffix.quantity != Quantity::Label {
+        return Ok((with_suffix, None));
+    }
+    let unit = Unit::named(symbol).ok_or_else(|| unknown(name, symbol))?;
+    let header = ColumnHeader::parse(&format!("{name}{}", unit.quantity().usual_suffix()));
+    match header.quantity == unit.quantity() {
+        true => Ok((header, (symbol != "1").then_some(unit))),
+        // A label has no unit, and is none of these numbers.
+        false if symbol == "1" => Ok((header, None)),
+        false => {
+            Err(Error::usage(format!("`{name}` is in `{symbol}`, and its name is not one of a number without a unit"))
+                .help("name it under `columns`, with the unit that it has in the data set"))
+        }
+    }
+}
+
+/// The unit of the numbers of a column that has a unit in the data set, if it is another one.
+fn unit_of(header: &ColumnHeader, declared: Option<Unit>, field: &Field) -> Result<Option<Unit>> {
+    let Some(symbol) = stated(field) else { return Ok(declared) };
+    let suffix = header.header.strip_prefix(&header.name).unwrap_or_default().trim_start_matches('_');
+    let is_that_of_the_name = as_suffix(symbol) == suffix;
+    let of_file = Unit::named(symbol).or_else(|| Unit::named(as_suffix(symbol).as_str()));
+    if header.quantity == Quantity::Label && symbol == "1" {
+        return Ok(None);
+    }
+    match (declared, of_file) {
+        (None, _) if is_that_of_the_name => Ok(None),
+        (None, Some(unit)) if unit.quantity() == header.quantity => match header.header == field.name.trim() {
+            true => Err(contradiction(field, symbol)),
+            // The unit in the name is that of the data set: the file says in what its numbers are.
+            false => Ok(Some(unit)),
+        },
+        (None, Some(_)) => Err(contradiction_of(&header.header, field, symbol)),
+        (None, None) => Err(unknown(&field.name, symbol)),
+        (Some(declared), Some(unit)) if declared.is_same(unit) => Ok(Some(declared)),
+        (Some(declared), _) => Err(Error::usage(format!(
+            "the file says that `{}` is in `{symbol}`, `columns` says `{}`",
+            shown(&field.name),
+            declared.symbol()
+        ))
+        .help("leave `unit` out: the file has it")),
+    }
+}
+
+/// The unit that a file states for a column.
+fn stated(field: &Field) -> Option<&str> {
+    field.unit.as_deref().map(str::trim).filter(|unit| !unit.is_empty())
+}
+
+/// A unit as the suffix of a name: `um_per_m` of `µm/m`.
+fn as_suffix(symbol: &str) -> String {
+    match symbol {
+        "°" => "deg".to_owned(),
+        "°C" => "degC".to_owned(),
+        "1/K" => "per_K".to_owned(),
+        "1/min" => "rpm".to_owned(),
+        _ => symbol.replace('µ', "u").replace('/', "_per_"),
+    }
+}
+
+fn unknown(name: &str, symbol: &str) -> Error {
+    let message = format!("the file says that `{}` is in `{}`, which is no known unit", shown(name), shown(symbol));
+    Error::usage(message).help(format!("known are {}, 1/K", Unit::symbols()))
+}
+
+fn contradiction(field: &Field, symbol: &str) -> Error {
+    Error::usage(format!(
+        "the file says that `{}` is in `{symbol}`, and its name says another unit",
+        shown(&field.name)
+    ))
+    .help("correct the file: one of them is wrong")
+}
+
+fn contradiction_of(header: &str, field: &Field, symbol: &str) -> Error {
+    Error::usage(format!(
+        "the file says that `{}` is in `{symbol}`, which is no unit of `{header}`",
+        shown(&field.name)
+    ))
+    .help("correct the name under `columns`, or the file")
+}
+
+/// The place of a column by its name.
+fn place_of(name: &str, fields: &[Field]) -> Result<usize> {
+    let mut places = (0..fields.len()).filter(|&place| fields[place].name.trim() == name.trim());
+    match (places.next(), places.next()) {
+        (Some(place), None) => Ok(place),
+        (Some(_), Some(_)) => Err(Error::usage(format!("there are two columns `{}`", shown(name)))
+            .help("give one of them another name in the file")),
+        _ => {
+            let named: Vec<String> = fields.iter().map(|field| format!("`{}`", shown(&field.name))).collect();
+            let message = format!("there is no column `{}`; the columns are {}", shown(name), named.join(", "));
+            Err(Error::usage(message).suggest(name, fields.iter().map(|field| field.name.as_str())))
+        }
+    }
+}
+
+fn check_names(taken: &[Taken]) -> Result<()> {
+    let mut names: HashMap<&str, &str> = HashMap::new();
+    for Taken { header, .. } in taken {
+        if header.name.is_empty() {
+            return Err(Error::usage("a column has no name").help("give it one, or leave it out by `columns`"));
+        }
+        if let Some(twin) = names.insert(&header.name, &header.header) {
+            let message = match twin == header.header {
+                true => format!("there are two columns `{twin}`"),
+                false => format!("the columns `{twin}` and `{}` are both named `{}`", header.header, header.name),
+            };
+            return Err(Error::usage(message).help("give one of them another name in the file"));
+        }
+    }
+    Ok(())
+}
+
+/// A data set that grows by rows, some at a time.
+pub struct ColumnsOfFile<'a> {
+    named: NamedColumns,
+    layout: &'a Layout,
+    columns: Vec<Column>,
+    origins: Vec<RowOrigin>,
+    rows: usize,
+    /// Bytes of the content, and the most that there may be.
+    content: u64,
+    most: u64,
+    numbers: Vec<f64>,
+}
+
+impl<'a> ColumnsOfFile<'a> {
+    /// Without rows yet. `most` is the number of bytes that the content may have: 8 for each cell, and those of texts.
+    pub fn new(named: NamedColumns, layout: &'a Layout, most: u64) -> Self {
+        let columns = named.headers().into_iter().map(empty_column).collect();
+        Self { named, layout, columns, origins: Vec::new(), rows: 0, content: 0, most, numbers: Vec::new() }
+    }
+
+    /// Adds rows: the cells of each column, in the order of [`NamedColumns::headers`].
+    ///
+    /// Fails as reading the same table in CSV does, with the number of the row.
+    pub fn add(&mut self, rows: usize, cells: &[Box<dyn ColumnCells + '_>]) -> Result<()> {
+        for row in 0..rows {
+            self.rows += 1;
+            self.add_row(row, cells).map_err(|error| {
+                let origin = RowOrigin { file: 0, line: 0, row: self.rows };
+                origin.blame(error, &self.named.path)
+            })?;
+        }
+        Ok(())
+    }
+
+    fn add_row(&mut self, row: usize, cells: &[Box<dyn ColumnCells + '_>]) -> Result<()> {
+        self.numbers.clear();
+        for (taken, cells) in self.named.taken.iter().zip(cells) {
+            if taken.header.quantity == Quantity::Label {
+                continue;
+            }
+            let cell = cells.cell(row);
+            if self.layout.no_data.iter().any(|mark| is_marked(&cell, mark)) {
+                return Ok(());
+            }
+            self.numbers.push(number(taken, &cell, self.layout)?);
+        }
+        let mut number = self.numbers.iter();
+        for ((column, taken), cells) in self.columns.iter_mut().zip(&self.named.taken).zip(cells) {
+            self.content += 8;
+            match &mut column.values {
+                Values::Numbers(numbers) => numbers.extend(number.next()),
+                Values::Labels(labels) => {
+                    let label = label(&taken.header.header, cells.cell(row))?;
+                    self.content += label.len() as u64;
+                    labels.push(label);
+                }
+            }
+        }
+        if self.content > self.most {
+            let message = format!(
+                "the content has more than {} MiB, the most that is read of a file of its size",
+                self.most >> 20
+            );
+            return Err(Error::data(message).help("is it a table of measurements? One by one they take more room"));
+        }
+        self.origins.push(RowOrigin { file: 0, line: 0, row: self.rows });
+        Ok(())
+    }
+
+    /// The data set, and the number of rows that are left out because a number was not measured. Fails if no row is left.
+    pub fn finish(self) -> Result<(Dataset, usize)> {
+        if self.origins.is_empty() {
+            let (message, help) = match self.rows {
+                0 => ("the file has no data rows", "write it again with rows"),
+                _ => ("all rows of the file hold a mark of `no_data`", "`no_data` may list what is a number"),
+            };
+            return Err(Error::data(message).in_file(&self.named.path).help(help));
+        }
+        let left_out = self.rows - self.origins.len();
+        let files = vec![self.named.path];
+        Ok((Dataset { columns: self.columns, origins: self.origins, files, ..Dataset::default() }, left_out))
+    }
+}
+
+/// Whether a cell holds a mark of a number that was not measured.
+fn is_marked(cell: &Cell<'_>, mark: &str) -> bool {
+    let is = |number: f64| mark.parse::<f64>().is_ok_and(|mark| mark == number || mark.is_nan() && number.is_nan());
+    match cell {
+        Cell::Missing => mark.is_empty(),
+        Cell::Number(number) => is(*number),
+        Cell::Whole(number) => is(*number as f64),
+        Cell::Text(text) => text.trim() == mark,
+    }
+}
+
+fn number(taken: &Taken, cell: &Cell<'_>, layout: &Layout) -> Result<f64> {
+    let header = &taken.header.header;
+    let of_text = |text: &str| {
+        number_of(header, text, taken.unit, layout).map_err(|message| match help_for(header, text, layout) {
+            Some(help) => Error::data(message).help(help.replace("`ingest: csv`", "`ingest`")),
+            None => Error::data(message),
+        })
+    };
+    match cell {
+        Cell::Missing => of_text(""),
+        Cell::Number(number) => number_held(header, *number, taken.unit).map_err(|message| help_held(message, *number)),
+        Cell::Whole(number) => number_held(header, *number as f64, taken.unit).map_err(Error::data),
+        Cell::Text(text) => of_text(text),
+    }
+}
+
+fn help_held(message: String, number: f64) -> Error {
+    let error = Error::data(message);
+    match number.is_nan() {
+        true => error.help("write `no_data: [nan]` where it is read to leave such rows out"),
+        false => error.help("`no_data` lists what stands for a number that was not measured"),
+    }
+}
+
+fn label(header: &str, cell: Cell<'_>) -> Result<String> {
+    let text = match cell {
+        Cell::Missing => String::new(),
+        Cell::Number(number) => number.to_string(),
+        Cell::Whole(number) => number.to_string(),
+        Cell::Text(text) => text.trim().to_owned(),
+    };
+    if text.len() > LONGEST_CELL {
+        let length = text.len().div_ceil(1024);
+        return Err(Error::data(format!("`{header}` has {length} KiB; at most {} are read", LONGEST_CELL >> 10)));
+    }
+    if text.contains(['\n', '\r', '\0']) {
+        return Err(Error::data(format!(
+            "`{header}` is `{}`, which has several lines",
+            shown(&text.replace(['\n', '\r', '\0'], " "))
+        ))
+        .help("a label has one line"));
+    }
+    Ok(text)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,231 @@
+//! Exporter `qif-results`: measured points, corrected by the calibration, as results of the Quality Information Framework (QIF 3, ISO
+//! 23952).
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use abbe_compensation::{Measured, MeasuredPoints};
+use abbe_core::{
+    Calibration, Context, DataRow, Dataset, Error, Export, ExportedFile, InputFile, KinematicModel, Quantity, Result,
+    SettingsError, positive,
+};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+
+use crate::element::Element;
+
+abbe_core::register!(
+    Export,
+    "qif-results",
+    "measured points, corrected by the calibration, as QIF 3 results",
+    Settings,
+    example,
+    build,
+    "../reference/export-qif-results.md",
+);
+
+/// Settings of the measured points.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    /// CSV file of measured positions, one a row: a column for every axis (`X_mm`, `B_deg`) and for all that its errors depend on; the
+    /// label `run`, if points were measured several times; `x_mm`, `y_mm`, `z_mm`, the nominal points in the table frame, if they are
+    /// known.
+    path: String,
+    /// The column of the point's label.
+    #[serde(default = "default_feature")]
+    feature: String,
+    /// Largest correction of a point; beyond it the errors are not believed.
+    #[serde(default = "default_largest")]
+    largest_correction_mm: f64,
+}
+
+fn default_feature() -> String {
+    "feature".to_owned()
+}
+
+fn default_largest() -> f64 {
+    1.0
+}
+
+fn example() -> Value {
+    json!({ "path": "points.csv", "feature": "hole" })
+}
+
+fn build(settings: Settings, context: &Context) -> Result<Box<dyn Export>, SettingsError> {
+    positive("largest_correction_mm", settings.largest_correction_mm)?;
+    Ok(Box::new(QifResults { path: context.path(&settings.path), settings }))
+}
+
+struct QifResults {
+    path: PathBuf,
+    settings: Settings,
+}
+
+/// The name of the file.
+const FILE: &str = "results.qif";
+
+/// Most points of a file: a document is held in memory as a whole.
+const MOST: usize = 200_000;
+
+impl Export for QifResults {
+    fn inputs(&self) -> Vec<InputFile> {
+        vec![InputFile { setting: "path", path: self.path.clone() }]
+    }
+
+    fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
+        let table = abbe_table::read(&self.path)?;
+        if table.rows() > MOST {
+            let message = format!("{} points; at most {MOST} are written", table.rows());
+            return Err(Error::data(message).in_file(&self.path));
+        }
+        let measured = MeasuredPoints::new(model, calibration, &self.path, self.settings.largest_correction_mm)?;
+        let document = Document::new(&table, &self.settings.feature, &measured.tips)?;
+        let text = document.element().document();
+        let text = text.map_err(|error| Error::data(format!("the results cannot be written as XML: {error}")))?;
+        Ok(vec![ExportedFile { name: FILE.to_owned(), content: text.into_bytes() }])
+    }
+}
+
+/// Points and their measurements.
+struct Document<'a> {
+    /// Label and nominal position of each point, mm.
+    points: Vec<(&'a str, [f64; 3])>,
+    /// The measurements of each run: its points and where they were found.
+    runs: Vec<Vec<(usize, &'a Measured)>>,
+}
+
+impl<'a> Document<'a> {
+    fn new(table: &'a Dataset, feature: &str, tips: &'a [Measured]) -> Result<Self> {
+        let labels = abbe_table::labels(table, feature)?;
+        let runs = table.labels("run");
+        let has_nominal = ["x", "y", "z"]
+            .iter()
+            .all(|name| table.column(name).is_some_and(|column| column.header.quantity == Quantity::Length));
+        let nominal = if has_nominal { Some(abbe_table::points(table, ["x", "y", "z"])?) } else { None };
+        let mut document = Self { points: Vec::new(), runs: Vec::new() };
+        let mut places: BTreeMap<&str, usize> = BTreeMap::new();
+        let mut run_places: BTreeMap<&str, usize> = BTreeMap::new();
+        for ((row, label), tip) in DataRow::enumerate(labels).zip(tips) {
+            let at = nominal.as_ref().map_or(tip.indicated, |nominal| nominal[row.0]);
+            let count = document.points.len();
+            let point = *places.entry(label).or_insert(count);
+            match document.points.get(point) {
+                None => document.points.push((label, at)),
+                Some((_, other)) if has_nominal && *other != at => {
+                    let message = format!("point `{label}` has another nominal position in an earlier row");
+                    return Err(table.error_at(row, message));
+                }
+                Some(_) => {}
+            }
+            let run = runs.map_or("", |runs| runs[row].as_str());
+            let count = document.runs.len();
+            let run = *run_places.entry(run).or_insert(count);
+            if run == count {
+                document.runs.push(Vec::new());
+            }
+            if document.runs[run].iter().any(|(other, _)| *other == point) && runs.is_none() {
+                let error = table.error_at(row, format!("point `{label}` is measured twice"));
+                return Err(error.help("write a column `run`, which says which measurement a row is"));
+            }
+            document.runs[run].push((point, tip));
+        }
+        Ok(document)
+    }
+
+    /// The document. Ids: 1 is the definition of points, then nominal points, features, runs and measurements.
+    fn element(&self) -> Element {
+        let count = self.points.len();
+        let (nominal, feature) = (|point: usize| 2 + point, |point: usize| 2 + count + point);
+        let definition = Element::of("PointFeatureDefinition", Vec::new()).with("id", "1");
+        let nominals = self.points.iter().enumerate().map(|(point, (_, at))| {
+            let elements = vec![Element::text("FeatureDefinitionId", "1"), Element::text("Location", location(at))];
+            Element::of("PointFeatureNominal", elements).with("id", &nominal(point).to_string())
+        });
+        let items = self.points.iter().enumerate().map(|(point, (label, _))| {
+            let checked = Element::of("Checked", Vec::new());
+            let elements = vec![
+                Element::text("FeatureNominalId", nominal(point).to_string()),
+                Element::text("FeatureName", label.split_whitespace().collect::<Vec<_>>().join(" ")),
+                Element::of("DeterminationMode", vec![checked]),
+            ];
+            Element::of("PointFeatureItem", elements).with("id", &feature(point).to_string())
+        });
+        let features = vec![
+            counted("FeatureDefinitions", vec![definition]),
+            counted("FeatureNominals", nominals.collect()),
+            counted("FeatureItems", items.collect()),
+        ];
+        let mut next = 2 + 2 * count;
+        let mut id = || {
+            next += 1;
+            next - 1
+        };
+        let mut runs = Vec::new();
+        for run in &self.runs {
+            let own = id().to_string();
+            let measurements = run.iter().map(|(point, tip)| {
+                let place = Element::text("Location", location(&tip.corrected));
+                let place = ["xCombinedUncertainty", "yCombinedUncertainty", "zCombinedUncertainty"]
+                    .into_iter()
+                    .enumerate()
+                    .fold(place, |place, (axis, name)| {
+                        place.with(name, &format!("{:.9}", tip.covariance[axis][axis].max(0.0).sqrt()))
+                    });
+                let elements = vec![Element::text("FeatureItemId", feature(*point).to_string()), place];
+                Element::of("PointFeatureMeasurement", elements).with("id", &id().to_string())
+            });
+            let status = Element::text("InspectionStatusEnum", "NOT_CALCULATED");
+            let elements = vec![
+                counted("MeasuredFeatures", measurements.collect()),
+                Element::of("InspectionStatus", vec![status]),
+            ];
+            runs.push(Element::of("MeasurementResults", elements).with("id", &own));
+        }
+        let unit = Element::of(
+            "LinearUnit",
+            vec![
+                Element::text("SIUnitName", "meter"),
+                Element::text("UnitName", "mm"),
+                Element::of("UnitConversion", vec![Element::text("Factor", "0.001")]),
+            ],
+        );
+        let results = Element::of("Results", vec![counted("MeasurementResultsSet", runs)]);
+        let units = Element::of("FileUnits", vec![Element::of("PrimaryUnits", vec![unit])]);
+        let elements =
+            vec![Element::text("QPId", self.identifier()), units, Element::of("Features", features), results];
+        Element::of("QIFDocument", elements)
+            .with("xmlns", "http://qifstandards.org/xsd/qif3")
+            .with("versionQIF", "3.0.0")
+            .with("idMax", &(id() - 1).to_string())
+    }
+
+    /// An identifier in the form of a UUID (version 8) that follows from what was measured: the same points give the same file.
+    fn identifier(&self) -> String {
+        let mut hash = Sha256::new();
+        for (label, at) in &self.points {
+            hash.update(format!("{label} {at:?}\n"));
+        }
+        for (point, tip) in self.runs.iter().flatten() {
+            hash.update(format!("{point} {:?}\n", tip.corrected));
+        }
+        let mut bytes: Vec<u8> = hash.finalize().iter().copied().take(16).collect();
+        bytes[6] = 0x80 | (bytes[6] & 0x0f);
+        bytes[8] = 0x80 | (bytes[8] & 0x3f);
+        let digits: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+        [&digits[..8], &digits[8..12], &digits[12..16], &digits[16..20], &digits[20..]].join("-")
+    }
+}
+
+/// A list with the number of its entries.
+fn counted(name: &str, elements: Vec<Element>) -> Element {
+    let count = elements.len().to_string();
+    Element::of(name, elements).with("n", &count)
+}
+
+/// A position, mm.
+fn location(at: &[f64; 3]) -> String {
+    at.map(|value| format!("{:.9}", value + 0.0)).join(" ")
+}

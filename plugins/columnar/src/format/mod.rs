@@ -1,0 +1,40 @@
+//! What stands in files of columns, and how it is written.
+
+#[cfg(feature = "parquet")]
+mod arrow_ipc;
+#[cfg(feature = "parquet")]
+mod cells;
+#[cfg(feature = "parquet")]
+mod guard;
+#[cfg(not(feature = "parquet"))]
+mod not_built;
+#[cfg(feature = "parquet")]
+mod parquet;
+#[cfg(all(test, feature = "parquet"))]
+mod tests;
+
+#[cfg(feature = "parquet")]
+mod built;
+#[cfg(feature = "parquet")]
+pub use built::{check, headers, parquet, read};
+#[cfg(not(feature = "parquet"))]
+pub use not_built::{check, headers, parquet, read};
+
+/// A format of files.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// Apache Parquet.
+    Parquet,
+    /// Apache Arrow, its format for files (Feather version 2) or for streams.
+    ArrowIpc,
+}
+
+impl Format {
+    /// Its name for people.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Parquet => "Parquet",
+            Self::ArrowIpc => "Arrow IPC",
+        }
+    }
+}

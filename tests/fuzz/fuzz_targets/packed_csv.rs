@@ -1,0 +1,3 @@
+#![no_main]
+
+abbe_fuzz::target!("packed-csv");

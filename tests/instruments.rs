@@ -1,0 +1,345 @@
+//! Instruments that are dead, stuck, cut off at their range or read twice, readings that are those of another label, and files that
+//! contradict themselves: no verdict rests on them without a word. The same recipes with their own data say nothing.
+
+use std::fs;
+use std::path::Path;
+
+use abbe_core::Decision;
+use abbe_engine::{Outcome, prepare};
+use serde_json::json;
+
+use crate::misread::changed;
+use crate::support::{Random, Variant, abbe, read, recipes, registry, temporary, write};
+
+/// What a change does to the cell of a row.
+type Change<'a> = &'a dyn Fn(usize, &str) -> String;
+
+fn number(cell: &str) -> f64 {
+    cell.parse().expect("a number")
+}
+
+/// A recipe with a change of one column of the table that a stage reads.
+fn with(recipe: &mut Variant, folder: &Path, (stage, column): (&str, &str), change: Change<'_>) {
+    let own = folder.join(format!("{stage}-{column}"));
+    fs::create_dir_all(&own).expect("a folder");
+    let file = changed(&recipe.path(stage, "path"), &own, column, change);
+    recipe.stage(stage)["path"] = json!(file);
+}
+
+/// The cells of a column.
+fn cells(file: &Path, column: &str) -> Vec<String> {
+    let text = read(file);
+    let mut lines = text.lines().filter(|line| !line.starts_with('#'));
+    let place = lines.next().and_then(|header| header.split(',').position(|name| name == column)).expect("the column");
+    lines.map(|line| line.split(',').nth(place).expect("a cell").to_owned()).collect()
+}
+
+fn remarks(outcome: &Outcome, stage: &str) -> String {
+    assert!(outcome.failures.is_empty(), "{:?}", outcome.failures.first().map(|failure| &failure.error));
+    outcome
+        .verdicts
+        .iter()
+        .filter(|verdict| verdict.stage == stage)
+        .flat_map(|verdict| verdict.remarks.clone())
+        .collect()
+}
+
+fn decision(outcome: &Outcome, stage: &str) -> Decision {
+    outcome.verdicts.iter().find(|verdict| verdict.stage == stage).expect("the verdict").decision
+}
+
+/// What a run says in its JSON, whatever its status.
+fn said(recipe: &Variant, folder: &Path) -> String {
+    let (file, out) = (recipe.write(folder), folder.join("out"));
+    let printed =
+        abbe(folder, &["run".as_ref(), file.as_os_str(), "--json".as_ref(), "--out".as_ref(), out.as_os_str()]);
+    format!("{}\n{}", printed.stdout, printed.stderr)
+}
+
+const FAULTS: [&str; 5] =
+    ["was it connected?", "transducer read twice?", "at the end of its range?", "did it stick?", "are they copies"];
+
+/// A test of a standard whose readings are changed is told and decides nothing; as it was it says nothing.
+fn told_and_undecided((name, judge): (&str, &str), changes: &[((&str, &str), Change<'_>)], word: &str) {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()[name]);
+    let good = remarks(&recipe.run(), judge);
+    assert!(!FAULTS.iter().any(|fault| good.contains(fault)), "{name}: {good}");
+    changes.iter().for_each(|(place, change)| with(&mut recipe, folder.path(), *place, change));
+    let outcome = recipe.run();
+    let said = remarks(&outcome, judge);
+    assert!(said.contains(word), "{name} {judge}: {said}");
+    assert_eq!(decision(&outcome, judge), Decision::Inconclusive, "{name} {judge}: {said}");
+}
+
+const ROTARY: (&str, &str) = ("standards-rotary-interpolation", "c-axis");
+
+#[test]
+fn a_transducer_of_an_r_test_that_is_dead_decides_nothing() {
+    let dead: Change<'_> = &|_, _| "-0.0".to_owned();
+    told_and_undecided(ROTARY, &[(("read-c", "meas_y_um"), dead)], FAULTS[0]);
+    told_and_undecided(ROTARY, &[(("read-c", "meas_x_um"), dead), (("read-c", "meas_y_um"), dead)], FAULTS[0]);
+    let stuck: Change<'_> = &|row, cell| if row < 11 { cell.to_owned() } else { "3.0".to_owned() };
+    told_and_undecided(ROTARY, &[(("read-c", "meas_x_um"), stuck)], FAULTS[3]);
+    let x = cells(&Variant::of(&recipes()[ROTARY.0]).path("read-c", "path"), "meas_x_um");
+    let copy: Change<'_> = &|row, _| x[row].clone();
+    told_and_undecided(ROTARY, &[(("read-c", "meas_y_um"), copy)], FAULTS[1]);
+}
+
+#[test]
+fn readings_that_are_cut_off_decide_nothing() {
+    let clipped = |most: f64| move |_: usize, cell: &str| format!("{}", number(cell).clamp(-most, most));
+    let (five, three) = (clipped(5.0), clipped(3.0));
+    let circular = ("standards-circular", "circles");
+    told_and_undecided(circular, &[(("slow", "reading_um"), &five), (("fast", "reading_um"), &five)], FAULTS[2]);
+    told_and_undecided(("standards-positioning", "positioning"), &[(("linear", "reading_um"), &three)], FAULTS[2]);
+}
+
+#[test]
+fn a_beam_that_is_lost_decides_nothing() {
+    let lost: Change<'_> = &|row, cell| if (4..22).contains(&row) { "0.00".to_owned() } else { cell.to_owned() };
+    told_and_undecided(("standards-positioning", "positioning-long"), &[(("long", "reading_um"), lost)], FAULTS[3]);
+}
+
+#[test]
+fn repeats_and_styli_that_are_copies_decide_nothing() {
+    let recipe = Variant::of(&recipes()["standards-cmm"]);
+    let measured = cells(&recipe.path("lengths", "path"), "measured_mm");
+    let first: Change<'_> = &|row, _| measured[row - row % 3].clone();
+    told_and_undecided(("standards-cmm", "e0"), &[(("lengths", "measured_mm"), first)], FAULTS[4]);
+    let file = recipe.path("sphere", "path");
+    let styli = cells(&file, "stylus");
+    let columns = ["x_mm", "y_mm", "z_mm"].map(|name| (name, cells(&file, name)));
+    let of = |label: &str| (0..styli.len()).filter(|row| styli[*row] == label).collect::<Vec<_>>();
+    let (two, three) = (of("2"), of("3"));
+    let pasted = columns.clone().map(|(name, cells)| {
+        let (two, three) = (two.clone(), three.clone());
+        let change = move |row: usize, cell: &str| match three.iter().position(|own| *own == row) {
+            Some(place) => cells[two[place]].clone(),
+            None => cell.to_owned(),
+        };
+        (name, change)
+    });
+    let changes: Vec<((&str, &str), Change<'_>)> =
+        pasted.iter().map(|(name, change)| (("sphere", *name), change as Change<'_>)).collect();
+    told_and_undecided(("standards-cmm", "probing"), &changes, FAULTS[4]);
+}
+
+/// A CMM that shows micrometres repeats them.
+#[test]
+fn coarse_lengths_that_repeat_are_no_copies() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["standards-cmm"]);
+    let measured = cells(&recipe.path("lengths", "path"), "measured_mm");
+    let coarse: Change<'_> = &|row, _| format!("{:.3}", number(&measured[row - row % 3]));
+    with(&mut recipe, folder.path(), ("lengths", "measured_mm"), coarse);
+    let said = remarks(&recipe.run(), "e0");
+    assert!(!said.contains(FAULTS[4]), "{said}");
+}
+
+/// The same instruments where an estimate is made of them.
+#[test]
+fn dead_and_copied_channels_of_an_estimate_fail() {
+    let folder = temporary();
+    let of = |stage: &str, column: &str, change: Change<'_>| {
+        let mut recipe = Variant::of(&recipes()["standards-rtest"]);
+        with(&mut recipe, folder.path(), (stage, column), change);
+        recipe
+    };
+    let same: Change<'_> = &|_, cell| cell.to_owned();
+    assert!(of("c-turns", "meas_y_um", same).run().failures.is_empty());
+    let x = cells(&Variant::of(&recipes()["standards-rtest"]).path("c-turns", "path"), "meas_x_um");
+    let (copy, dead): (Change<'_>, Change<'_>) = (&|row, _| x[row].clone(), &|_, _| "0.0".to_owned());
+    let half: Change<'_> = &|row, cell| if row < 25 { x[row].clone() } else { cell.to_owned() };
+    for (stage, column, change, word, estimate) in [
+        ("c-turns", "meas_y_um", copy, FAULTS[1], "c-axis"),
+        ("c-turns", "meas_y_um", half, FAULTS[1], "c-axis"),
+        ("a-turns", "meas_x_um", dead, FAULTS[0], "a-axis"),
+        ("c-turns", "meas_z_um", dead, FAULTS[0], "c-axis"),
+    ] {
+        let recipe = of(stage, column, change);
+        let outcome = recipe.run();
+        let failed = outcome.failures.iter().find(|failure| failure.error.to_string().contains(word));
+        assert!(failed.is_some_and(|failure| failure.stage == estimate), "{column}: {:?}", outcome.failures);
+        // `abbe check` tells, too.
+        let planned = prepare(&recipe.write(folder.path()), &registry()).and_then(|it| it.check()).expect("a plan");
+        let told = planned.iter().flat_map(|planned| &planned.identifiability.remarks).any(|it| it.contains(word));
+        assert!(told, "{column}");
+    }
+    let clipped: Change<'_> = &|_, cell| format!("{}", number(cell).clamp(-2.0, 2.0));
+    let outcome = of("c-turns", "meas_x_um", clipped).run();
+    let told = outcome.remarks.iter().any(|remark| remark.text.contains(FAULTS[2]));
+    assert!(told && outcome.failures.is_empty(), "{:?}", outcome.remarks);
+}
+
+#[test]
+fn a_week_that_is_a_copy_of_another_is_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["history"]);
+    let good = recipe.run();
+    assert!(!good.remarks.iter().any(|remark| remark.text.contains(FAULTS[4])), "{:?}", good.remarks);
+    let file = recipe.path("touches", "path");
+    let text = read(&file);
+    let is_of = |line: &str, week: &str| line.rsplit(',').next() == Some(week);
+    let week_20: Vec<&str> = text.lines().filter(|line| is_of(line, "20")).collect();
+    let kept = text.lines().filter(|line| !is_of(line, "21"));
+    let copy = week_20.iter().map(|line| format!("{},21", line.rsplit_once(',').expect("a label").0));
+    let all: Vec<String> = kept.map(str::to_owned).chain(copy).collect();
+    let file = folder.path().join("touches.csv");
+    write(&file, &(all.join("\n") + "\n"));
+    recipe.stage("touches")["path"] = json!(file);
+    let outcome = recipe.run();
+    let told = outcome.remarks.iter().filter(|remark| remark.text.contains(FAULTS[4])).collect::<Vec<_>>();
+    assert!(told.len() == 1 && told[0].estimate == "weekly", "{:?}", outcome.remarks);
+}
+
+#[test]
+fn sessions_of_a_tool_that_are_copies_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["tool-check"]);
+    let word = "readings of tool 4 are those of an earlier session";
+    let good = said(&recipe, folder.path());
+    assert!(!good.contains("of an earlier session to the last digit"), "{good}");
+    let file = recipe.path("log", "path");
+    let names = ["session", "tool", "quantity", "method", "repeat", "value_mm"];
+    let columns = names.map(|name| cells(&file, name));
+    let same = |one: usize, other: usize| (1..5).all(|column| columns[column][one] == columns[column][other]);
+    let first = |row: usize| (0..row).find(|other| columns[0][*other] == "1" && same(*other, row)).unwrap_or(row);
+    let copied: Change<'_> =
+        &|row, cell| if columns[1][row] == "4" { columns[5][first(row)].clone() } else { cell.to_owned() };
+    with(&mut recipe, folder.path(), ("log", "value_mm"), copied);
+    let said = said(&recipe, folder.path());
+    assert!(said.contains(word), "{said}");
+}
+
+const THREE_AXES: &str = "rapid-verify-three-axis";
+
+#[test]
+fn a_verify_run_that_contradicts_itself_is_refused() {
+    let folder = temporary();
+    let refused = |stage: &str, column: &str, change: Change<'_>| -> Vec<String> {
+        let mut recipe = Variant::of(&recipes()[THREE_AXES]).only(&["before-the-cut"]);
+        with(&mut recipe, folder.path(), (stage, column), change);
+        let run = prepare(&recipe.write(folder.path()), &registry()).expect("a recipe").run(&Default::default());
+        match run {
+            Ok(outcome) => outcome.failures.iter().map(|failure| failure.error.to_string()).collect(),
+            Err(error) => vec![error.to_string()],
+        }
+    };
+    let word = "from `measured_mm` in this row";
+    let same: Change<'_> = &|_, cell| cell.to_owned();
+    assert_eq!(refused("today", "Z_mm", same), Vec::<String>::new());
+    for (stage, by) in [("today", 5.0), ("today", 0.012), ("baseline", 5.0)] {
+        // Rows whose approach axis is another one stay as they are.
+        let z = cells(&Variant::of(&recipes()[THREE_AXES]).path(stage, "path"), "measured_mm");
+        let shifted: Change<'_> = &|row, cell| match cell == z[row] && (stage == "today" || row % 5 == 0) {
+            true => format!("{:.4}", number(cell) + by),
+            false => cell.to_owned(),
+        };
+        let found = refused(stage, "Z_mm", shifted);
+        assert!(found.iter().any(|error| error.contains(word)), "{stage} {by}: {found:?}");
+    }
+}
+
+#[test]
+fn a_tolerance_beyond_the_stock_is_refused_and_missing_stock_told() {
+    let recipe = |stock: f64, tolerance: f64| {
+        let mut recipe = Variant::of(&recipes()[THREE_AXES]).only(&["before-the-cut"]);
+        let nominal = recipe.path("artefact", "nominal");
+        recipe.0["stages"]["cut"] = json!({
+            "validate": "verify-cut", "of": "calibrated", "from": "today", "nominal": nominal, "stock_mm": stock,
+            "tolerance_um": tolerance,
+        });
+        recipe
+    };
+    let outcome = recipe(0.3, 1000.0).run();
+    let errors: Vec<String> = outcome.failures.iter().map(|failure| failure.error.to_string()).collect();
+    assert!(
+        errors.iter().any(|error| error.contains("a tolerance below the stock that is planned, 300 um")),
+        "{errors:?}"
+    );
+    // Without stock planned the surface is the finished one, and both signs are possible.
+    let outcome = recipe(0.0, 1000.0).run();
+    assert!(remarks(&outcome, "cut").contains("below the finished surface"), "{}", remarks(&outcome, "cut"));
+}
+
+const LOGS: [&str; 3] = ["constant", "stepped", "mixed"];
+
+#[test]
+fn a_drift_in_another_unit_and_exchanged_columns_are_told() {
+    let folder = temporary();
+    let words = ["is it in the unit that its column says?", "are these columns exchanged?"];
+    let recipe = || {
+        let mut recipe = Variant::of(&recipes()["thermal-spindle"]).only(&["unseen", "warm-up"]);
+        recipe.stage("spindle")["uncertainty"] = json!("ordinary");
+        recipe
+    };
+    let good = said(&recipe(), folder.path());
+    assert!(!words.iter().any(|word| good.contains(word)), "{good}");
+    let mut small = recipe();
+    let thousandth: Change<'_> = &|_, cell| format!("{}", 1e-3 * number(cell));
+    for log in LOGS {
+        for column in ["drift_x_um", "drift_y_um", "drift_z_um"] {
+            with(&mut small, folder.path(), (log, column), thousandth);
+        }
+    }
+    assert!(remarks(&small.run(), "warm-up").contains(words[0]), "{}", remarks(&small.run(), "warm-up"));
+    assert!(said(&small, folder.path()).contains("moves most"));
+    let exchange = |recipe: &mut Variant, log: &str, [one, other]: [&str; 2]| {
+        let file = recipe.path(log, "path");
+        let [first, second] = [one, other].map(|name| cells(&file, name));
+        with(recipe, folder.path(), (log, one), &|row, _| second[row].clone());
+        with(recipe, folder.path(), (log, other), &|row, _| first[row].clone());
+    };
+    let mut exchanged = recipe();
+    exchange(&mut exchanged, "constant", ["T34_degC", "drift_z_um"]);
+    assert!(said(&exchanged, folder.path()).contains(words[1]));
+    let mut warm_up = Variant::of(&recipes()["spindle-motion"]);
+    assert!(!said(&warm_up, folder.path()).contains(words[1]));
+    exchange(&mut warm_up, "half-hour", ["T02_degC", "drift_z_um"]);
+    assert!(said(&warm_up, folder.path()).contains(words[1]));
+}
+
+#[test]
+fn a_run_that_the_estimate_has_seen_is_no_prediction() {
+    let mut recipe = Variant::of(&recipes()["thermal-spindle"]).only(&["unseen"]);
+    recipe.stage("spindle")["uncertainty"] = json!("ordinary");
+    let word = "this is no prediction";
+    assert!(!remarks(&recipe.run(), "unseen").contains(word));
+    recipe.stage("unseen")["from"] = json!(["constant"]);
+    let outcome = recipe.run();
+    assert!(remarks(&outcome, "unseen").contains(word), "{}", remarks(&outcome, "unseen"));
+    assert_eq!(decision(&outcome, "unseen"), Decision::Inconclusive);
+}
+
+/// Noise, quantisation and other samples of the same tests say nothing.
+#[test]
+fn good_readings_of_other_seeds_say_nothing() {
+    let folder = temporary();
+    for seed in 0..20 {
+        for (name, ingests, columns) in [
+            ("standards-rotary-interpolation", &["read-c", "read-a"][..], &["meas_x_um", "meas_y_um", "meas_z_um"][..]),
+            ("standards-circular", &["slow", "fast", "arc"], &["reading_um"]),
+            ("standards-positioning", &["linear", "long"], &["reading_um"]),
+        ] {
+            let mut recipe = Variant::of(&recipes()[name]);
+            let step = [0.01, 0.1, 0.5, 1.0][seed as usize % 4];
+            for (place, ingest) in ingests.iter().enumerate() {
+                for (other, column) in columns.iter().enumerate() {
+                    let random =
+                        std::cell::RefCell::new(Random::new(1 + 100 * seed + 10 * place as u64 + other as u64));
+                    let noisy: Change<'_> = &|_, cell| {
+                        let value = number(cell) + 0.3 * random.borrow_mut().normal();
+                        format!("{}", (value / step).round() * step)
+                    };
+                    with(&mut recipe, folder.path(), (ingest, column), noisy);
+                }
+            }
+            let outcome = recipe.run();
+            for verdict in &outcome.verdicts {
+                let said = verdict.remarks.join("\n");
+                assert!(!FAULTS.iter().any(|fault| said.contains(fault)), "{name}, seed {seed}, {step} um: {said}");
+            }
+        }
+    }
+}

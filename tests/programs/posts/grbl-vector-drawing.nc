@@ -1,0 +1,26 @@
+%
+(Header)
+M3
+(Header end.)
+G21 (All units in mm)
+
+(Start cutting path id: path1)
+(Change tool to Default tool)
+
+G00 Z5.000000
+G00 X52.314200 Y121.900012
+
+G01 Z-0.125000 F100.0(Penetrate)
+G02 X65.127431 Y118.221900 Z-0.125000 I3.117300 J-13.307700 F400.000000
+G01 X81.900000 Y100.100000 Z-0.125000
+G03 X90.000000 Y100.100000 Z-0.125000 I4.050000 J0.000000
+G00 Z5.000000
+
+(End cutting path id: path1)
+
+(Footer)
+M5
+G00 X0.0000 Y0.0000
+M2
+(end)
+%
