@@ -218,7 +218,7 @@ const THREE_AXES: &str = "rapid-verify-three-axis";
 fn a_verify_run_that_contradicts_itself_is_refused() {
     let folder = temporary();
     let refused = |stage: &str, column: &str, change: Change<'_>| -> Vec<String> {
-        let mut recipe = Variant::of(&recipes()[THREE_AXES]).only(&["before-the-cut"]);
+        let mut recipe = Variant::of(&recipes()[THREE_AXES]).only(&["calibrated", "before-the-cut"]);
         with(&mut recipe, folder.path(), (stage, column), change);
         let run = prepare(&recipe.write(folder.path()), &registry()).expect("a recipe").run(&Default::default());
         match run {
@@ -244,7 +244,7 @@ fn a_verify_run_that_contradicts_itself_is_refused() {
 #[test]
 fn a_tolerance_beyond_the_stock_is_refused_and_missing_stock_told() {
     let recipe = |stock: f64, tolerance: f64| {
-        let mut recipe = Variant::of(&recipes()[THREE_AXES]).only(&["before-the-cut"]);
+        let mut recipe = Variant::of(&recipes()[THREE_AXES]).only(&["calibrated", "before-the-cut"]);
         let nominal = recipe.path("artefact", "nominal");
         recipe.0["stages"]["cut"] = json!({
             "validate": "verify-cut", "of": "calibrated", "from": "today", "nominal": nominal, "stock_mm": stock,
@@ -252,8 +252,13 @@ fn a_tolerance_beyond_the_stock_is_refused_and_missing_stock_told() {
         });
         recipe
     };
-    let outcome = recipe(0.3, 1000.0).run();
-    let errors: Vec<String> = outcome.failures.iter().map(|failure| failure.error.to_string()).collect();
+    let folder = temporary();
+    let run =
+        prepare(&recipe(0.3, 1000.0).write(folder.path()), &registry()).expect("a recipe").run(&Default::default());
+    let errors: Vec<String> = match run {
+        Ok(outcome) => outcome.failures.iter().map(|failure| failure.error.to_string()).collect(),
+        Err(error) => vec![error.to_string()],
+    };
     assert!(
         errors.iter().any(|error| error.contains("a tolerance below the stock that is planned, 300 um")),
         "{errors:?}"
@@ -270,7 +275,7 @@ fn a_drift_in_another_unit_and_exchanged_columns_are_told() {
     let folder = temporary();
     let words = ["is it in the unit that its column says?", "are these columns exchanged?"];
     let recipe = || {
-        let mut recipe = Variant::of(&recipes()["thermal-spindle"]).only(&["unseen", "warm-up"]);
+        let mut recipe = Variant::of(&recipes()["thermal-spindle"]).only(&["spindle", "unseen", "warm-up"]);
         recipe.stage("spindle")["uncertainty"] = json!("ordinary");
         recipe
     };
@@ -302,7 +307,7 @@ fn a_drift_in_another_unit_and_exchanged_columns_are_told() {
 
 #[test]
 fn a_run_that_the_estimate_has_seen_is_no_prediction() {
-    let mut recipe = Variant::of(&recipes()["thermal-spindle"]).only(&["unseen"]);
+    let mut recipe = Variant::of(&recipes()["thermal-spindle"]).only(&["spindle", "unseen"]);
     recipe.stage("spindle")["uncertainty"] = json!("ordinary");
     let word = "this is no prediction";
     assert!(!remarks(&recipe.run(), "unseen").contains(word));

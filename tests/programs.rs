@@ -148,8 +148,7 @@ fn along(machine: &Machine, goal: &Goal, blocks: &[&Block], is_tip: bool) -> f64
         for position in &block.path[first..] {
             let mut best = (f64::INFINITY, at);
             let mut known: BTreeMap<String, [f64; 3]> = BTreeMap::new();
-            // The match before may have been one step too far.
-            for next in at.saturating_sub(2).max(1)..goal.tips.len() {
+            for next in at..goal.tips.len() {
                 if goal.length[next - 1] - goal.length[at] > AHEAD && next > at + 4 {
                     break;
                 }

@@ -566,7 +566,7 @@ fn the_stock_of_a_cut_is_judged_point_by_point() {
     write(&out.path().join("part.csv"), nominal);
     // Tip at the surface: stylus radius 3 mm, tool length 180 mm.
     let touches = "point,X_mm,Y_mm,Z_mm,A_deg,C_deg,measured_mm\n\
-                   top,10,20,0,0,0,233.305\nside,-43.345,5,210,0,0,-43.345\nback,0,62.99,210,0,0,62.99\n";
+                   top,10,20,233.305,0,0,233.305\nside,-43.345,5,210,0,0,-43.345\nback,0,62.99,210,0,0,62.99\n";
     write(&out.path().join("cut.csv"), touches);
     let data = ingest(&json!({ "path": out.path().join("cut.csv") }));
     let settings = json!({ "nominal": out.path().join("part.csv"), "tolerance_um": 20 });

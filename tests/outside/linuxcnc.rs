@@ -697,7 +697,7 @@ fn corrected_programs_do_on_the_plain_control_what_the_corrected_control_does() 
     let [of_known, of_plain] = [&known, &plain].map(|cycles| at_rest(cycles));
     assert!(of_known.len() >= 3 && of_known.len() == of_plain.len(), "{} {}", of_known.len(), of_plain.len());
     let resting = largest(of_known.iter().zip(&of_plain).map(|((one, _), (other, _))| (&one.motors, &other.motors)));
-    let none = vec![0.0; 3];
+    let none = [0.0; 3];
     let tips = |commands: Vec<&[f64]>, errors: bool| {
         let rows: Vec<(&[f64], &[f64])> = commands.into_iter().map(|commands| (commands, &none[..])).collect();
         machine.tips(&statuses(&machine, &rows), errors)

@@ -100,6 +100,7 @@ impl<'a> Planner<'a> {
     }
 
     /// Plans moves of one machine and one kind of coordinates. Errors have the index of their move as their pose.
+    #[expect(clippy::vec_box, reason = "a move is large, and is handed on several times")]
     pub(crate) fn plan(&mut self, moves: Vec<Box<Move>>) -> Result<Vec<Planned>> {
         if !moves.is_empty() {
             self.known = [true; 9];

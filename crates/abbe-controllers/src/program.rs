@@ -150,6 +150,7 @@ struct Run<'a, 'b> {
     options: &'a Options,
     keep: &'b mut Keep<'b>,
     waiting: Vec<(Waiting, usize)>,
+    #[expect(clippy::vec_box, reason = "a move is large, and is handed on several times")]
     moves: Vec<Box<Move>>,
     summary: Summary,
     is_marked: bool,

@@ -20,11 +20,15 @@ pub struct Errors {
     of: BTreeMap<ValueIndex, Vec<(usize, f64)>>,
 }
 
+/// What belongs to a list of a certificate: a factor of its covariance, the number of the input of each column, if it has one, and what
+/// the list is.
+type OfList = (DMatrix<f64>, Vec<Option<usize>>, String);
+
 impl Errors {
     /// The errors of some lengths of a certificate, with the names of their inputs. `first` is how many inputs stand before them.
     pub fn new(certificate: &DigitalCertificate, named: &[(ValueIndex, String)], first: usize) -> Self {
         let mut errors = Self::default();
-        let mut of_list: BTreeMap<usize, (DMatrix<f64>, Vec<Option<usize>>, String)> = BTreeMap::new();
+        let mut of_list: BTreeMap<usize, OfList> = BTreeMap::new();
         for (index, _) in named {
             let (factor, inputs, content) = of_list.entry(index.quantity).or_insert_with(|| {
                 let quantity = &certificate.quantities[index.quantity];

@@ -150,12 +150,26 @@ pub fn instrument_faults(channels: &[Channel<'_>], uncertainty: Option<f64>) -> 
 fn is_fine(channels: &[Channel<'_>], uncertainty: Option<f64>) -> bool {
     let levels = channels.iter().map(|channel| levels(channel.readings)).collect::<Vec<_>>();
     let steps = levels.iter().flat_map(|levels| levels.windows(2).map(|pair| pair[1].0 - pair[0].0));
-    let step = steps.fold(f64::INFINITY, f64::min);
+    let step = steps.fold(f64::INFINITY, f64::min).min(digit(channels).unwrap_or(f64::INFINITY));
     let ranges = levels.iter().filter_map(|levels| Some(levels.last()?.0 - levels.first()?.0));
     match uncertainty.filter(|uncertainty| *uncertainty > 0.0) {
         Some(uncertainty) => step < FINE * uncertainty,
         None => ranges.fold(0.0, f64::max) > STEPS * step,
     }
+}
+
+/// The last digit of readings: the largest power of ten of which all are whole multiples. None if they have no such digit.
+fn digit(channels: &[Channel<'_>]) -> Option<f64> {
+    let readings = || channels.iter().flat_map(|channel| channel.readings).filter(|reading| reading.is_finite());
+    let largest = readings().fold(0.0_f64, |largest, reading| largest.max(reading.abs()));
+    let of_all = |step: &f64| {
+        readings().all(|reading| {
+            let steps = reading / step;
+            (steps - steps.round()).abs() < 1e-5
+        })
+    };
+    let powers = (-12..6).rev().map(|power| 10_f64.powi(power));
+    powers.filter(|step| *step <= largest && largest / step < 1e9).find(of_all)
 }
 
 fn is_still(readings: &[f64]) -> bool {

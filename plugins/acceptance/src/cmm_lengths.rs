@@ -143,6 +143,15 @@ fn digit(values: impl Iterator<Item = f64> + Clone) -> f64 {
     (0..9).map(|place| 0.1_f64.powi(place)).find(is_of).unwrap_or(1e-9)
 }
 
+/// Finest digit of a CMM, mm: below it values were computed, and have no scatter that repeats could show.
+const NANOMETRE: f64 = 1e-6;
+
+/// Whether most errors have digits that no CMM has.
+fn is_computed(errors: &[f64]) -> bool {
+    let has_finer = |error: &&f64| ((*error / NANOMETRE) - (*error / NANOMETRE).round()).abs() > 1e-3;
+    2 * errors.iter().filter(has_finer).count() > errors.len()
+}
+
 /// Errors of the values of each length in steps of their digits: calibrated lengths have finer digits than a CMM.
 fn in_digits(all: &[Measured], sets: &[Set]) -> Vec<Vec<f64>> {
     let digit = digit(all.iter().map(|value| value.measured));
@@ -195,8 +204,10 @@ impl Lengths {
         }
         let errors: Vec<f64> = all.iter().map(Measured::error).collect();
         let doubted = doubted(&run, &[&errors]);
-        let copied: Vec<String> =
-            copied_repeats("lengths", &in_digits(&all, &sets)).filter(|_| doubted.is_none()).into_iter().collect();
+        let copied: Vec<String> = copied_repeats("lengths", &in_digits(&all, &sets))
+            .filter(|_| doubted.is_none() && !is_computed(&errors))
+            .into_iter()
+            .collect();
         findings.remarks.extend(doubted);
         findings.remarks.extend(copied.iter().map(|copied| format!("{run}: {copied}")));
         findings.remarks.extend(misplaced(&run, data, &all));

@@ -38,7 +38,7 @@ pub fn statements(settings: &Settings, certified: &[&Estimated]) -> Result<Vec<S
         let (factor, unit) = match one.unit.as_str() {
             "mm" => (1e-3, "um"),
             "rad" => (1e-6, "urad"),
-            "1" => (1e-6, "um/m"),
+            "1" | "mm/mm" => (1e-6, "um/m"),
             other => {
                 let error = Error::usage(format!("{} has the unit {other}: there are no limits in it", one.name));
                 return Err(error.setting("limits").help("limits are those of lengths, angles and numbers"));

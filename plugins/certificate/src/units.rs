@@ -3,6 +3,10 @@
 /// The unit in the D-SI (BIPM's names with a backslash, powers by `\tothe`): `mm/rad^2` is `\milli\metre\radian\tothe{-2}`; none for a unit
 /// that results do not have.
 pub fn dsi(unit: &str) -> Option<String> {
+    // The scale of an axis is a number.
+    if unit == "mm/mm" {
+        return Some(r"\one".to_owned());
+    }
     let (above, below) = unit.split_once('/').unwrap_or((unit, ""));
     let below = below.trim_start_matches('(').trim_end_matches(')');
     let mut text = match above {

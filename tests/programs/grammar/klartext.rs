@@ -96,11 +96,11 @@ impl Klartext<'_> {
 
     fn line(&mut self) {
         let mut words = String::new();
-        for axis in 0..3 {
+        for (axis, letter) in AXES.iter().enumerate().take(3) {
             if axis == 0 || self.of.chance(0.6) {
                 let (low, high) = if axis == 2 { (0.0, 80.0) } else { (-60.0, 60.0) };
                 let (from, to) = (self.of.at[axis], self.within(low, high));
-                words.push_str(&self.word(AXES[axis], from, to));
+                words.push_str(&self.word(letter, from, to));
                 self.of.at[axis] = to;
             }
         }
@@ -134,9 +134,9 @@ impl Klartext<'_> {
 
     fn rapid(&mut self) {
         let mut words = String::new();
-        for axis in 0..2 {
+        for (axis, letter) in AXES.iter().enumerate().take(2) {
             let (from, to) = (self.of.at[axis], self.within(-60.0, 60.0));
-            words.push_str(&self.word(AXES[axis], from, to));
+            words.push_str(&self.word(letter, from, to));
             self.of.at[axis] = to;
         }
         self.block(&format!("L{words} R0 F MAX"));

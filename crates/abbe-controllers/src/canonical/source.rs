@@ -168,7 +168,7 @@ impl Scan {
             (b'M', Some(66.0)) => refused("an input of the control"),
             (b'M', Some(100.0..=199.0)) => refused("a program of the control's user"),
             (b'U' | b'V' | b'W', _) => refused("an axis that LinuxCNC's interpreter does not print"),
-            (b'T' | b'H', Some(value)) if value >= 0.0 && value < 1e5 => {
+            (b'T' | b'H', Some(value)) if (0.0..1e5).contains(&value) => {
                 self.tools.insert(value as u32);
                 Ok(())
             }

@@ -127,22 +127,28 @@ fn tried(random: &mut Random, with_nulls: bool) -> Tried {
     let rows = 1 + random.below(400);
     let (mut fields, mut arrays, mut names, mut cells) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for (name, unit) in
-        NUMBERS.into_iter().filter(|(name, _)| *name == "X" || random.next() % 3 > 0).collect::<Vec<_>>()
+        NUMBERS.into_iter().filter(|(name, _)| *name == "X" || !random.next().is_multiple_of(3)).collect::<Vec<_>>()
     {
         let (array, text) = numbers(random, rows, with_nulls);
         let full = format!("{name}_{}", unit.replace('/', "_per_"));
-        let is_beside = random.next() % 2 == 0;
+        let is_beside = random.next().is_multiple_of(2);
         let field = Field::new(if is_beside { name } else { &full }, array.data_type().clone(), true);
         // What the name says may be said beside it as well.
-        let says = is_beside || random.next() % 2 == 0;
+        let says = is_beside || random.next().is_multiple_of(2);
         let metadata = says.then(|| (built::UNIT.to_owned(), unit.to_owned()));
         fields.push(field.with_metadata(metadata.into_iter().collect::<HashMap<_, _>>()));
-        (arrays.push(array), names.push(full), cells.push(text));
+        arrays.push(array);
+        names.push(full);
+        cells.push(text);
     }
-    for name in LABELS.into_iter().filter(|name| *name == "feature" || random.next() % 2 == 0).collect::<Vec<_>>() {
+    for name in
+        LABELS.into_iter().filter(|name| *name == "feature" || random.next().is_multiple_of(2)).collect::<Vec<_>>()
+    {
         let (array, text) = labels(random, rows);
         fields.push(Field::new(name, array.data_type().clone(), true));
-        (arrays.push(array), names.push(name.to_owned()), cells.push(text));
+        arrays.push(array);
+        names.push(name.to_owned());
+        cells.push(text);
     }
     let mut csv = names.join(",") + "\n";
     for row in 0..rows {
@@ -169,7 +175,7 @@ impl Tried {
         let properties = WriterProperties::builder()
             .set_compression(packed[random.below(packed.len())])
             .set_writer_version(versions[random.below(2)])
-            .set_dictionary_enabled(random.next() % 2 == 0)
+            .set_dictionary_enabled(random.next().is_multiple_of(2))
             .set_max_row_group_row_count(Some(1 + random.below(300)))
             .set_data_page_row_count_limit(1 + random.below(100))
             .build();
@@ -182,8 +188,8 @@ impl Tried {
     fn arrow_ipc(&self, random: &mut Random) -> Vec<u8> {
         let packed = [None, Some(CompressionType::LZ4_FRAME), Some(CompressionType::ZSTD)][random.below(3)];
         // Before version 0.15 of the format, nothing but the length stood before a part.
-        let (version, is_old) = match packed.is_none() && random.next() % 3 == 0 {
-            true => (MetadataVersion::V4, random.next() % 2 == 0),
+        let (version, is_old) = match packed.is_none() && random.next().is_multiple_of(3) {
+            true => (MetadataVersion::V4, random.next().is_multiple_of(2)),
             false => (MetadataVersion::V5, false),
         };
         let alignment = [8, 16, 64][random.below(3)];
@@ -195,7 +201,7 @@ impl Tried {
             .step_by(size)
             .map(|start| batch.slice(start, size.min(batch.num_rows() - start)))
             .collect();
-        match random.next() % 2 == 0 {
+        match random.next().is_multiple_of(2) {
             true => {
                 let mut writer = FileWriter::try_new_with_options(Vec::new(), &batch.schema(), options).unwrap();
                 // A file has one list of values for each column that refers to one.

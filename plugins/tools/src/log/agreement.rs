@@ -9,6 +9,9 @@ use super::{Log, Reading, Visit};
 use crate::record::Tool;
 use crate::settings::Quantity;
 
+/// The number of a session, and readings in it.
+type OfSession = (usize, Vec<f64>);
+
 /// Cutting time beyond that of the clock that rounded columns have, s.
 const ROUNDED: f64 = 60.0;
 
@@ -65,7 +68,7 @@ impl Log<'_> {
     /// Tells of a tool whose readings in some sessions are those of an earlier one: they were copied. Coarse digits, which agree by chance,
     /// do not count. `repeatability` is the standard deviation of a reading by method and quantity, mm.
     pub(super) fn tell_copied_tools(&self, repeatability: impl Fn(Quantity, &str) -> Option<f64>) {
-        let mut series: BTreeMap<(&str, Quantity, &str), Vec<(usize, Vec<f64>)>> = BTreeMap::new();
+        let mut series: BTreeMap<(&str, Quantity, &str), Vec<OfSession>> = BTreeMap::new();
         for (session, visit) in
             self.sessions.iter().enumerate().flat_map(|(at, session)| session.visits.iter().map(move |it| (at, it)))
         {
