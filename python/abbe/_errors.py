@@ -25,7 +25,7 @@ class AbbeError(Exception):
     file: str | None
     """The file that is concerned: the recipe, or data."""
     line: int | None
-    """The line in it, from 1; of a table that was given in the place of a file, the row plus 1, as below a head."""
+    """The line in it, from 1. Tables have no lines: the message names the row, from 1."""
     column: int | None
     """The character in the line, from 1."""
     stage: str | None

@@ -374,9 +374,10 @@ def run(
     """Runs a recipe and keeps the results in memory.
 
     `recipe` is the path of a recipe, or what would stand in one as a dict; relative paths then start at the folder
-    `base`. `data` has tables for `ingest: csv` stages, by name, in the place of their files: tables of pandas, polars
-    or pyarrow, structured arrays of NumPy or dicts of arrays. Their columns have the names that they would have in a
-    file, with units (`X_mm`, `B_deg`), and all that the recipe says of rows and columns holds for them. `artefacts`
+    `base`. `data` has tables for stages that read tables (`ingest: csv`, `parquet`, `arrow-ipc`), by name, in the
+    place of their files: tables of pandas, polars or pyarrow, structured arrays of NumPy or dicts of arrays. Their
+    columns have the names that they would have in a file, with units (`X_mm`, `B_deg`), and all that the recipe says
+    of rows and columns holds for them. `artefacts`
     are those in Python that the recipe names (`abbe.artefact`). `progress` is called with events, in this thread:
     dicts with the key `event`. Ctrl-C ends the run, and `time_limit_s` does.
 

@@ -150,7 +150,7 @@ impl InPython {
             match &column.values {
                 Values::Numbers(numbers) => {
                     let numbers: Vec<f64> = numbers.iter().map(|number| number / factor).collect();
-                    columns.set_item(&column.header.header, bytes_of(py, &numbers))?;
+                    columns.set_item(&column.header.header, bytes_of(py, &numbers)?)?;
                 }
                 Values::Labels(labels) => columns.set_item(&column.header.header, labels)?,
             }
@@ -183,8 +183,8 @@ impl Evaluated {
     /// The residuals of rows, equation by equation, for these tips and unknowns.
     fn residuals(&self, py: Python<'_>, rows: &[usize], tips: &[[f64; 3]], own: &[f64]) -> Result<Vec<f64>> {
         let tips = bytes_of(py, tips.as_flattened());
-        let found = self.bound.bind(py).call_method1("residuals", (rows.to_vec(), tips, own.to_vec()));
-        let found = found.and_then(|found| numbers(&found));
+        let called = |tips| self.bound.bind(py).call_method1("residuals", (rows.to_vec(), tips, own.to_vec()));
+        let found = tips.and_then(called).and_then(|found| numbers(&found));
         let found = found.map_err(|error| of_python(py, &format!("artefact `{}`", self.definition.name), &error))?;
         let expected = rows.len() * self.definition.equations;
         match found.len() == expected {

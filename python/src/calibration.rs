@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use abbe_compensation::{CompensatedPath, SetPoints, Settings, follows_log};
 use abbe_core::{
-    AxisKind, Error, KinematicModel, PoseTable, Poses, Registry, Result, Table, machine_values, plain_naming,
-    pose_columns,
+    AxisKind, Error, KinematicModel, PoseTable, Poses, Registry, Result, RowOrigin, Table, machine_values,
+    plain_naming, pose_columns,
 };
 use abbe_engine::model_of;
 use abbe_volumetric::predict;
@@ -62,7 +62,7 @@ impl Calibration {
         let model = self.model.as_ref();
         let mut poses = Poses::default();
         let located = |error: Error| match error.pose {
-            Some(pose) => error.at(Path::new("poses"), pose + 2, None),
+            Some(pose) => RowOrigin { file: 0, line: 0, row: pose + 1 }.blame(error, Path::new("poses")),
             None => error,
         };
         model.poses(&statuses, &machine_values(model, &self.calibration), &[], true, &mut poses).map_err(located)?;
@@ -119,10 +119,10 @@ impl Calibration {
     }
 
     /// Names of what has a covariance, and the matrix, row by row.
-    fn covariance<'py>(&self, py: Python<'py>) -> (Vec<String>, Bound<'py, PyByteArray>) {
+    fn covariance<'py>(&self, py: Python<'py>) -> PyResult<(Vec<String>, Bound<'py, PyByteArray>)> {
         let covariance = &self.calibration.covariance;
         let all: Vec<f64> = covariance.rows.iter().flatten().copied().collect();
-        (covariance.order.clone(), bytes_of(py, &all))
+        Ok((covariance.order.clone(), bytes_of(py, &all)?))
     }
 
     /// Where the tip is at poses, and its error there with standard uncertainties; all in the table frame.

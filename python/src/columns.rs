@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use arrow_array::cast::AsArray;
 use arrow_array::ffi_stream::FFI_ArrowArrayStream;
-use arrow_array::types::Float64Type;
+use arrow_array::types::{Float64Type, Int64Type};
 use arrow_array::{Array, ArrayRef, Float64Array, Int64Array, RecordBatch, RecordBatchIterator, StringArray};
 use arrow_schema::{ArrowError, DataType};
 use pyo3::exceptions::{PyKeyError, PyValueError};
@@ -85,19 +85,15 @@ impl Columns {
     /// The bytes of a column of numbers; NaN where there is none.
     fn bytes<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyByteArray>> {
         let column = self.column(name)?;
-        match column.as_primitive_opt::<Float64Type>() {
-            Some(numbers) if numbers.null_count() > 0 => {
-                let all: Vec<f64> = numbers.iter().map(|number| number.unwrap_or(f64::NAN)).collect();
-                Ok(bytes_of(py, &all))
-            }
-            Some(numbers) => Ok(bytes_of(py, numbers.values())),
-            None => match column.as_primitive_opt::<arrow_array::types::Int64Type>() {
-                Some(counts) => {
-                    let bytes: Vec<u8> = counts.values().iter().flat_map(|count| count.to_ne_bytes()).collect();
-                    Ok(PyByteArray::new(py, &bytes))
-                }
-                None => Err(PyValueError::new_err(format!("`{name}` holds texts"))),
-            },
+        if let Some(numbers) = column.as_primitive_opt::<Float64Type>() {
+            return match numbers.null_count() {
+                0 => bytes_of(py, numbers.values()),
+                _ => bytes_of(py, &numbers.iter().map(|number| number.unwrap_or(f64::NAN)).collect::<Vec<f64>>()),
+            };
+        }
+        match column.as_primitive_opt::<Int64Type>() {
+            Some(counts) => filled(py, counts.values().iter().map(|count| count.to_ne_bytes())),
+            None => Err(PyValueError::new_err(format!("`{name}` holds texts"))),
         }
     }
 
@@ -123,7 +119,13 @@ impl Columns {
 }
 
 /// The bytes of numbers, which NumPy takes as an array that can be written.
-pub fn bytes_of<'py>(py: Python<'py>, numbers: &[f64]) -> Bound<'py, PyByteArray> {
-    let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_ne_bytes()).collect();
-    PyByteArray::new(py, &bytes)
+pub fn bytes_of<'py>(py: Python<'py>, numbers: &[f64]) -> PyResult<Bound<'py, PyByteArray>> {
+    filled(py, numbers.iter().map(|number| number.to_ne_bytes()))
+}
+
+fn filled<'py>(py: Python<'py>, numbers: impl ExactSizeIterator<Item = [u8; 8]>) -> PyResult<Bound<'py, PyByteArray>> {
+    PyByteArray::new_with(py, numbers.len() * 8, |bytes| {
+        bytes.as_chunks_mut().0.iter_mut().zip(numbers).for_each(|(place, number)| *place = number);
+        Ok(())
+    })
 }

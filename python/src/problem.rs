@@ -71,19 +71,19 @@ impl Problem {
     }
 
     /// Start values of the unknowns.
-    fn start<'py>(&self, py: Python<'py>) -> Bound<'py, PyByteArray> {
+    fn start<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyByteArray>> {
         bytes_of(py, &self.0.start())
     }
 
     /// Standard uncertainties of the equations, mm or rad.
-    fn uncertainties<'py>(&self, py: Python<'py>) -> Bound<'py, PyByteArray> {
+    fn uncertainties<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyByteArray>> {
         bytes_of(py, &self.0.standard_uncertainties())
     }
 
     /// Residuals at x, mm or rad.
     fn residuals<'py>(&self, py: Python<'py>, x: Vec<f64>) -> PyResult<Bound<'py, PyByteArray>> {
         let residuals = py.detach(|| self.check(&x).and_then(|()| self.0.residuals(&x))).or_raise(py)?;
-        Ok(bytes_of(py, &residuals))
+        bytes_of(py, &residuals)
     }
 
     /// Residuals at x and their derivatives, equations x unknowns, row by row.
@@ -102,7 +102,7 @@ impl Problem {
             Ok((residuals, jacobian))
         };
         let (residuals, jacobian) = py.detach(linearised).or_raise(py)?;
-        Ok((bytes_of(py, &residuals), bytes_of(py, &jacobian)))
+        Ok((bytes_of(py, &residuals)?, bytes_of(py, &jacobian)?))
     }
 
     /// The triangular factor at x, of rows of unit variance.
@@ -173,15 +173,15 @@ impl Factor {
     }
 
     /// The upper triangle R, row by row, and `Q^T r`.
-    fn triangle<'py>(&self, py: Python<'py>) -> (Bound<'py, PyByteArray>, Bound<'py, PyByteArray>) {
+    fn triangle<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyByteArray>, Bound<'py, PyByteArray>)> {
         let columns: Vec<Vec<f64>> = (0..self.0.unknowns()).map(|unknown| self.0.column(unknown)).collect();
         let rows: Vec<f64> = (0..columns.len()).flat_map(|row| columns.iter().map(move |column| column[row])).collect();
-        (bytes_of(py, &rows), bytes_of(py, self.0.right()))
+        Ok((bytes_of(py, &rows)?, bytes_of(py, self.0.right())?))
     }
 
     /// The Gauss-Newton step; None if an unknown has no effect.
-    fn step<'py>(&self, py: Python<'py>) -> Option<Bound<'py, PyByteArray>> {
-        self.0.step().map(|step| bytes_of(py, &step))
+    fn step<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyByteArray>>> {
+        self.0.step().map(|step| bytes_of(py, &step)).transpose()
     }
 }
 

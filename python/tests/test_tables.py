@@ -75,10 +75,11 @@ def test_a_table_gives_what_its_file_gives(table: Any, tmp_path: Path) -> None:
     ours, theirs = comparable(from_table.fits["fit"].to_json()), comparable(from_file.fits["fit"].to_json())
     ours["data"] = theirs["data"] = None
     for outlier in [*ours["outliers"], *theirs["outliers"]]:
-        outlier.pop("file")
+        del outlier["file"], outlier["line"]
     assert ours == theirs
     for name, column in from_file.fits["fit"].residuals.items():
-        if name != "file":
+        # A table has rows and no lines.
+        if name not in ("file", "line"):
             same = from_table.fits["fit"].residuals[name]
             assert np.array_equal(same, column) or np.array_equal(same, column, equal_nan=True), name
 
@@ -110,7 +111,7 @@ def test_units_stand_in_names() -> None:
         (lambda table: table.pop("Z_mm"), "there is no column `Z`"),
         (lambda table: table.update(Z=table.pop("Z_mm")), "does not say its unit"),
         (lambda table: table.update(Z_deg=table.pop("Z_mm")), "the column `Z_deg` has the wrong unit"),
-        (lambda table: table["Z_mm"].__setitem__(4, np.nan), "`Z_mm` is empty; a number was expected"),
+        (lambda table: table["Z_mm"].__setitem__(4, np.nan), "row 5: `Z_mm` is `NaN`, which is not a finite number"),
         (lambda table: table.update(Z_mm=table["Z_mm"][:-1]), "rows;"),
         (lambda table: table.update(Z_mm=[object()] * 3), "the column `Z_mm` holds object"),
         (lambda table: table.update(Z_mm="no column"), "the column `Z_mm` holds one text"),
@@ -130,7 +131,8 @@ def test_a_cell_has_its_place() -> None:
     table["Z_mm"][4] = np.inf
     with pytest.raises(abbe.DataError) as caught:
         abbe.check(RECIPE, data={"touches": table})
-    assert (caught.value.line, caught.value.stage) == (6, "touches")
+    assert (caught.value.line, caught.value.stage) == (None, "touches")
+    assert caught.value.message == "row 5: `Z_mm` is `inf`, which is not a finite number"
     assert caught.value.file is not None and caught.value.file.endswith("touches.csv")
 
 
@@ -149,6 +151,49 @@ def test_a_stage_that_reads_other_files_takes_none() -> None:
     with pytest.raises(abbe.RecipeError) as caught:
         abbe.check(recipe, data={"log": columns()})
     assert caught.value.stage == "log"
+
+
+def test_rows_of_pandas_keep_their_values_alone() -> None:
+    """Row numbers of a part of a table are no column; an index with a name is one."""
+    pandas = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    all_of_it = pandas.DataFrame(columns())
+    kept = all_of_it[all_of_it["group"].isin([str(group) for group in range(1, 20)])]
+    part = abbe.run(RECIPE, data={"touches": kept})
+    labels = set(part.fits["fit"].residuals)
+    assert not [name for name in labels if "index" in name]
+    by_index = abbe.run(RECIPE, data={"touches": kept.set_index("feature")})
+    assert by_index.fits["fit"]["EA0B"].value == pytest.approx(part.fits["fit"]["EA0B"].value, rel=1e-9)
+
+
+def test_a_unit_may_stand_beside_a_name() -> None:
+    """In the metadata of a column of Arrow, as in Parquet."""
+    pyarrow = pytest.importorskip("pyarrow")
+    pytest.importorskip("pyarrow.compute")
+    table = with_pyarrow()
+    place = table.schema.get_field_index("X_mm")
+    x_um = pyarrow.compute.multiply(table.column("X_mm"), 1000.0)
+    field = pyarrow.field("X", pyarrow.float64(), metadata={"unit": "um"})
+    found = abbe.run(RECIPE, data={"touches": table.set_column(place, field, x_um)}).fits["fit"]
+    expected = abbe.run(RECIPE).fits["fit"]
+    assert found["EXX[b]"].value == pytest.approx(expected["EXX[b]"].value, rel=1e-6)
+    wrong = pyarrow.field("X_mm", pyarrow.float64(), metadata={"unit": "deg"})
+    with pytest.raises(abbe.RecipeError, match="no unit of `X_mm`"):
+        abbe.check(RECIPE, data={"touches": table.set_column(place, wrong, x_um)})
+
+
+def test_a_table_stands_for_a_file_of_parquet(tmp_path: Path) -> None:
+    """Files of Parquet are read, and a table may stand in their place."""
+    parquet = pytest.importorskip("pyarrow.parquet")
+    text = Path(RECIPE).read_text().replace("ingest: csv", "ingest: parquet")
+    text = text.replace("data/tango-hu40t/realistic/touches.csv", "touches.parquet")
+    recipe = tmp_path / "first-steps.yaml"
+    recipe.write_text(text.replace("data/", f"{Path('pipelines').resolve()}/data/"))
+    given = abbe.run(recipe, data={"touches": with_pyarrow()})
+    parquet.write_table(with_pyarrow(), tmp_path / "touches.parquet")
+    read = abbe.run(recipe)
+    assert list(given.fits["fit"].parameters["value"]) == list(read.fits["fit"].parameters["value"])
+    assert given.record["inputs"] != read.record["inputs"]
 
 
 def test_results_are_taken_by_other_libraries() -> None:

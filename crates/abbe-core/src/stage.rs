@@ -44,7 +44,7 @@ pub trait Ingest: Send + Sync {
     /// those of the table. Default: it takes none.
     fn with_table(self: Box<Self>, _table: Arc<Table>) -> Result<Box<dyn Ingest>> {
         Err(Error::usage("this stage reads files of its own format, and no table can take their place")
-            .help("`ingest: csv` takes tables"))
+            .help("`ingest: csv` and the readers of Parquet and Arrow take tables"))
     }
 }
 

@@ -63,7 +63,7 @@ impl Prepared {
         let inputs = ingest.inputs();
         self.ingests.insert(stage.name.clone(), ingest);
         let mut digest = Sha256::new();
-        table.each_part(|part| digest.update(part));
+        table.each_byte(|bytes| digest.update(bytes));
         self.tables.insert(stage.name.clone(), hexadecimal(digest.finalize().as_slice()));
         Ok(inputs)
     }

@@ -126,7 +126,7 @@ impl Ingest for Csv {
 
     fn headers(&self) -> Result<Vec<ColumnHeader>> {
         let data = self.assembly.without_rows(&|path| match &self.table {
-            Some(table) => Ok(abbe_table::of_table(path, &table.without_rows(), &self.layout)?.0),
+            Some(table) => abbe_table::of_table_without_rows(path, table, &self.layout),
             None => without_rows(path, &self.layout),
         })?;
         Ok(data.headers())
