@@ -29,7 +29,7 @@ pub fn check(
     artefacts: Vec<Bound<'_, PyAny>>,
 ) -> PyResult<String> {
     let asked = Asked::new(path, recipe, data.as_ref(), artefacts)?;
-    let planned = at_work(py, None, None, |_| asked.prepare()?.check())?;
+    let planned = at_work(py, None, None, |monitor| asked.prepare()?.check_until(monitor))?;
     let planned = planned.iter().map(|planned| {
         json!({
             "estimate": planned.estimate, "accepted": planned.accepted, "machine": planned.machine,

@@ -27,8 +27,13 @@ pub struct Planned {
 impl Prepared {
     /// Everything but the fits: data, problems, and the identifiability of the fits at nominal contact.
     pub fn check(&self) -> Result<Vec<Planned>> {
+        self.check_until(&Monitor::default())
+    }
+
+    /// The same, which the user may end on the way.
+    pub fn check_until(&self, monitor: &Monitor) -> Result<Vec<Planned>> {
         let inputs = input_records(&self.files)?;
-        let data = self.read(&Monitor::default(), None)?;
+        let data = self.read(monitor, None)?;
         let digests = digests(&self.with_given(inputs, &data)?);
         let mut taken = Taken::default();
         let problems = self.problems(&data, &mut taken)?;
@@ -37,6 +42,7 @@ impl Prepared {
         let (mut planned, mut found) = (Vec::new(), BTreeMap::new());
         for stage in self.stages(Kind::Estimate).filter(has_rows) {
             let Some(problem) = problems.get(&stage.name) else { continue };
+            monitor.check().map_err(|error| error.stage(&stage.name))?;
             let estimator = &self.estimators[&stage.name];
             let mut identifiability = self.located(stage, estimator.identify(problem))?;
             found.insert(stage.name.clone(), identifiability.clone());
