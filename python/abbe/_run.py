@@ -248,7 +248,7 @@ class Run:
     >>> import abbe
     >>> run = abbe.run("pipelines/first-steps.yaml")
     >>> run
-    <Run of first-steps: 1 estimates, 1 verdicts, fail>
+    <Run of first-steps: 1 estimates, 1 verdicts, pass>
     >>> run.verdicts["judge"].figures["name"][:2]
     array(['max', 'mean_abs'], dtype=object)
     """
