@@ -53,8 +53,14 @@ fn is_usual(calibration: &Calibration, data: &str) {
     is("observations", report.observations);
     is("unknowns", report.unknowns);
     is("rank", report.rank);
-    let condition = expected["condition"].as_f64().expect("a number");
+    let number = |key: &str| expected[key].as_f64().expect("a number");
+    let condition = number("condition");
     assert!((report.condition - condition).abs() < 1e-3 * condition, "{} {condition}", report.condition);
+    let mismatch = value(calibration, "EXX[1]") - value(calibration, "EYY[1]");
+    assert!((mismatch - number("scale_mismatch")).abs() <= 2e-8 * mismatch.abs(), "{data}: {mismatch}");
+    // Readings of the exact data are rounded to 0.1 nm, which their residuals are not far above.
+    let rms = report.residual_rms_um;
+    assert!((rms - number("rms_um")).abs() <= 1e-6 * number("rms_um"), "{data}: {rms}");
 }
 
 /// The usual diagnosis takes positions from the angle; recorded ones are rounded to 1e-9 mm, and to 0.1 um in the realistic data.
@@ -187,7 +193,11 @@ fn lags_and_scales_are_one_rank_short() {
     let mut length = recipe().set("bar", "lengths", json!("estimated"));
     length.stage("fit")["parameters"].as_array_mut().expect("patterns").push(json!("bar.bar[150].length"));
     let message = told(length);
-    assert!(message.contains("the data determine 14 of 15 unknowns"), "{message}");
+    for data in ["exact-expected", "realistic-expected"] {
+        let expected = &kept(data)["circular"]["diagnostics"];
+        let [rank, unknowns] = ["rank_with_radius", "unknowns_with_radius"].map(|key| expected[key].to_string());
+        assert!(message.contains(&format!("the data determine {rank} of {unknowns} unknowns")), "{message}");
+    }
     assert!(
         message.contains("all of these do: bar.bar[150].length +1 µm, EXX[1] +6.667 µm/m, EYY[1] +6.667 µm/m"),
         "{message}"

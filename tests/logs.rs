@@ -210,6 +210,30 @@ fn qif(output: &str) -> String {
     )
 }
 
+/// The recipe reads what it writes: the file beside it is its own export, the corrected holes are where the plate has them, and without
+/// the correction they are not.
+#[test]
+fn qif_results_that_a_recipe_writes_are_those_that_it_reads() {
+    let recipe = Variant::of(&recipes()["qif-results"]);
+    let outcome = recipe.run();
+    let (_, files) = outcome.exports.iter().find(|(stage, _)| stage == "holes").expect("the export");
+    let kept = read(&root().join("pipelines/data/qif/results.qif"));
+    assert_eq!(String::from_utf8_lossy(&files[0].content), kept);
+    let truth = json_file(&root().join("tests/truth/qif-results.json"));
+    for (name, expected) in truth["parameters"].as_object().expect("a map") {
+        let found = fit(&outcome, "fit").calibration.get(name).unwrap_or_else(|| panic!("no {name}"));
+        let error = (found.value - expected.as_f64().expect("a number")) / found.standard_uncertainty;
+        assert!(error.abs() < 3.5, "{name}: {error}");
+    }
+    let rms = |outcome: &Outcome| fit(outcome, "inspected").calibration.fit.residual_rms_um;
+    assert!(rms(&outcome) < 0.6, "{}", rms(&outcome));
+    let mut recipe = recipe;
+    recipe.0["stages"]["read-back"] = json!({ "ingest": "csv", "path": root().join("pipelines/data/qif/workpiece.csv"),
+        "columns": { "X_mm": "X_mm", "Y_mm": "Y_mm", "Z_mm": "Z_mm", "run": "run", "point": "feature" },
+        "constants": { "meas_z": 0, "placement": "last" } });
+    assert!(rms(&recipe.run()) > 1.2);
+}
+
 /// What LinuxCNC has logged in simulation, with hidden errors: the truth is inside four standard uncertainties, and the log in another
 /// order of its lines, or without one of them, is no other measurement.
 #[test]

@@ -1,6 +1,7 @@
 //! Abbe as a whole: every recipe as a snapshot, the command line driven as a user drives it, and what must be true of
 //! the results whatever the code looks like inside.
 
+mod at_the_limit;
 mod ball_bar;
 mod bodies;
 mod bounds;
@@ -15,6 +16,7 @@ mod coverage;
 mod data;
 mod decisions;
 mod errors;
+mod expected_figures;
 mod facets;
 mod faults;
 mod files;
@@ -24,6 +26,7 @@ mod full_disk;
 mod gcode;
 mod history;
 mod instruments;
+mod interpolation;
 mod interrupted;
 mod laws;
 mod layouts;
@@ -53,6 +56,7 @@ mod revisits;
 mod robots;
 mod row_order;
 mod rtest;
+mod scanned;
 mod selection;
 mod senses;
 mod simulate;

@@ -89,11 +89,10 @@ fn runs(blocks: &[Block]) -> Vec<(Vec<&Block>, Option<&Block>)> {
 
 /// A block that only takes up a reversal: its ends count, because its middle is nowhere in the program.
 fn is_small(block: &Block) -> bool {
-    let (from, to) = (&block.path[0], &block.path[block.path.len() - 1]);
-    block.path.len() <= 3 && from.iter().all(|(axis, at)| (to[axis] - at).abs() < 0.08)
+    block.path.iter().all(|to| block.path[0].iter().all(|(axis, at)| (to[axis] - at).abs() < 0.08))
 }
 
-/// How far ahead, mm, of the last match the path is searched.
+/// How far ahead, mm, of the step of one place that of the next may be.
 const AHEAD: f64 = 1.5;
 
 /// The largest distance of the tip of the machine with errors from the programmed path, mm; rapid moves by their ends.
@@ -141,43 +140,111 @@ fn goal(machine: &Machine, blocks: &[&Block], directions: &mut ByAxis) -> Goal {
     Goal { tips, directions: all, length }
 }
 
+/// The distance of what is cut from the path: every place of the tip has its step of the path, none before the step of the last place,
+/// and of all such assignments the one counts whose largest distance is smallest. (The nearest step of each place alone would go astray
+/// where a path comes close to itself.) With bounds, because far assignments are many: the next bound where none is within one.
 fn along(machine: &Machine, goal: &Goal, blocks: &[&Block], is_tip: bool) -> f64 {
-    let (mut at, mut found) = (1_usize, 0_f64);
+    let (Some(last), Some(block)) = (goal.tips.last(), blocks.last()) else { return 0.0 };
+    let end = (block.path[block.path.len() - 1].clone(), goal.directions[goal.directions.len() - 1].clone());
+    let at_end = distance(tips(machine, &[end], true)[0], *last);
+    if goal.tips.len() < 2 {
+        return at_end;
+    }
+    let mut bounds = [1.05 * TOLERANCE, 5.0 * TOLERANCE, 50.0 * TOLERANCE, LOST, f64::INFINITY].into_iter();
+    bounds.find_map(|bound| assigned(machine, goal, blocks, is_tip, bound)).expect("an assignment").max(at_end)
+}
+
+/// The largest distance of the best assignment, if it is at most `bound`.
+fn assigned(machine: &Machine, goal: &Goal, blocks: &[&Block], is_tip: bool, bound: f64) -> Option<f64> {
+    // The steps of the path at which the last place may be, each with the largest distance up to there.
+    let mut reached = vec![(0, 0.0)];
     for block in blocks {
         let first = if is_small(block) { block.path.len() - 1 } else { 0 };
         for position in &block.path[first..] {
-            let mut best = (f64::INFINITY, at);
-            let mut known: BTreeMap<String, [f64; 3]> = BTreeMap::new();
-            for next in at..goal.tips.len() {
-                if goal.length[next - 1] - goal.length[at] > AHEAD && next > at + 4 {
-                    break;
-                }
-                // Where the tip is programmed axes turn around between two points of the path, nobody knows where.
-                let more = if is_tip { 1 } else { 0 };
-                let of = next.saturating_sub(more)..(next + 1 + more).min(goal.directions.len());
-                let off = goal.directions[of].iter().map(|directions| {
-                    let actual = *known
-                        .entry(format!("{directions:?}"))
-                        .or_insert_with(|| tips(machine, &[(position.clone(), directions.clone())], true)[0]);
-                    from_segment(actual, goal.tips[next - 1], goal.tips[next])
-                });
-                let off = off.fold(f64::INFINITY, f64::min);
-                if off < best.0 {
-                    best = (off, next);
-                }
-                if off <= TOLERANCE {
-                    break;
-                }
+            let next = next_reached(&reached, goal, bound, &mut from_step(machine, goal, position, is_tip));
+            if next.is_empty() {
+                println!("more than {:.3} µm off in line {}, at {position:?}", bound * 1e3, block.line);
+                return None;
             }
-            if best.0.is_finite() {
-                found = found.max(best.0);
-                at = best.1;
+            reached = next;
+        }
+    }
+    reached.iter().map(|(_, largest)| *largest).min_by(f64::total_cmp)
+}
+
+fn next_reached(
+    reached: &[(usize, f64)],
+    goal: &Goal,
+    bound: f64,
+    off: &mut dyn FnMut(usize) -> f64,
+) -> Vec<(usize, f64)> {
+    let mut next = Vec::new();
+    let Some(((first, _), (last, _))) = reached.first().zip(reached.last()) else { return next };
+    // Whether a place at `step` may follow one at `before`.
+    let follows =
+        |step: usize, before: usize| step < before + 5 || goal.length[step] - goal.length[before + 1] <= AHEAD;
+    let (mut oldest, mut newest) = (0, 0);
+    for step in *first..goal.tips.len() - 1 {
+        if step > *last && !follows(step, *last) {
+            break;
+        }
+        while newest < reached.len() && reached[newest].0 <= step {
+            newest += 1;
+        }
+        while oldest < newest && !follows(step, reached[oldest].0) {
+            oldest += 1;
+        }
+        let before = reached[oldest..newest].iter().map(|(_, largest)| *largest).fold(f64::INFINITY, f64::min);
+        if before.is_finite() {
+            let largest = before.max(off(step));
+            if largest <= bound {
+                next.push((step, largest));
             }
         }
     }
-    if let (Some(last), Some(block)) = (goal.tips.last(), blocks.last()) {
-        let end = (block.path[block.path.len() - 1].clone(), goal.directions[goal.directions.len() - 1].clone());
-        found = found.max(distance(tips(machine, &[end], true)[0], *last));
+    next
+}
+
+/// The distance of the tip at a position from a step of the path, with the directions that the axes have there.
+fn from_step<'a>(
+    machine: &'a Machine,
+    goal: &'a Goal,
+    position: &'a ByAxis,
+    is_tip: bool,
+) -> impl FnMut(usize) -> f64 + 'a {
+    let mut known: BTreeMap<String, [f64; 3]> = BTreeMap::new();
+    move |step| {
+        let off = approaches(goal, step, is_tip).into_iter().map(|directions| {
+            let actual = *known
+                .entry(format!("{directions:?}"))
+                .or_insert_with(|| tips(machine, &[(position.clone(), directions.clone())], true)[0]);
+            from_segment(actual, goal.tips[step], goal.tips[step + 1])
+        });
+        off.fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// The directions that the axes may have in a step of the path. Where the tip is programmed an axis turns around somewhere in the steps
+/// beside, and each at a place of its own.
+fn approaches(goal: &Goal, step: usize, is_tip: bool) -> Vec<ByAxis> {
+    let own = &goal.directions[step + 1];
+    let mut found = vec![own.clone()];
+    if !is_tip {
+        return found;
+    }
+    let beside = [Some(&goal.directions[step]), goal.directions.get(step + 2)];
+    for (axis, direction) in own {
+        if beside.iter().flatten().any(|other| other.get(axis).unwrap_or(&1.0) != direction) {
+            let turned: Vec<ByAxis> = found
+                .iter()
+                .cloned()
+                .map(|mut other| {
+                    other.insert(axis.clone(), -direction);
+                    other
+                })
+                .collect();
+            found.extend(turned);
+        }
     }
     found
 }
@@ -211,8 +278,7 @@ fn rotary(name: &str) -> &'static [&'static str] {
     }
 }
 
-/// Distances, mm, that no error makes: where a path comes close to itself, the search for the nearest place on it can lose a tip that is
-/// far off.
+/// Distances, mm, that no error makes: where a path comes close to itself, a tip that is far off may belong to another part of it.
 const LOST: f64 = 0.3;
 
 /// The law: on the machine with errors the corrected program makes the path that the original makes on the machine without.
@@ -749,6 +815,117 @@ fn what_controls_would_run_is_not_passed_over() {
     assert!(off <= TOLERANCE, "{off}");
     grbl.block_delete = Some(true);
     refused(&machine, &optional, &grbl, 4, "whatever a switch says");
+}
+
+/// Axes that a code only names, lengths that a change of the tool leaves open, and the shorter way of an axis.
+#[test]
+fn what_the_control_decides_is_not_guessed() {
+    let machine = Machine::public("three-axis");
+    let tools = |dialect| {
+        let mut options = Options::new(dialect);
+        options.tools.by_number.extend([(1, 120.5), (3, 160.5)]);
+        options.stays_at_tool_change = true;
+        options
+    };
+    // Fanuc: smoothing and the end of a mirror image name axes.
+    let named = |block: &str| format!("G21 G90 G17 G94 G54\nG0 X100. Y100. Z100.\n{block}\nG1 X200. F500.\nM30\n");
+    let fanuc = tools(Dialect::Fanuc);
+    let plain = corrected(&machine, &named("(none)"), &fanuc, 1.0).expect("a program").0;
+    for block in ["G05.1 Q2 X0. Y0. Z0.", "G5.1 Q1", "G50.1 X0. Y0."] {
+        let done = corrected(&machine, &named(block), &fanuc, 1.0).unwrap_or_else(|error| panic!("{block}: {error}")).0;
+        assert_eq!(done, plain.replace("(none)", block));
+    }
+    refused(&machine, &named("G1 G50.1 X0. Y0. F500."), &fanuc, 3, "the name of an axis");
+    // LinuxCNC: H0 is the tool in the spindle, or tool 0.
+    let mut linuxcnc = tools(Dialect::Linuxcnc);
+    let called = |words: &str| format!("G21 G90 G17 G54\nT3 M6\n{words}\nG0 X100 Y100 Z100\nM2\n");
+    let own = |words: &str, options: &Options| {
+        let done = corrected(&machine, &called(words), options, 1.0).unwrap_or_else(|error| panic!("{words}: {error}"));
+        done.0.lines().nth(4).expect("a move").to_owned()
+    };
+    assert_eq!(own("G43 H0", &linuxcnc), own("G43 H3", &linuxcnc));
+    assert_ne!(own("G43 H0", &linuxcnc), own("G49", &linuxcnc));
+    linuxcnc.tools.by_number.insert(0, 0.0);
+    refused(&machine, &called("G43 H0"), &linuxcnc, 3, "or tool 0");
+    // A cut with the length of the tool before.
+    for dialect in [Dialect::Linuxcnc, Dialect::Fanuc, Dialect::Iso] {
+        let changed = |words: &str| {
+            format!(
+                "G21 G90 G17 G94 G54\nT1 M6\nG43 H1\nG0 X0. Y0. Z100.\nT3 M6\nG0 X50.\n{words}\nG1 X60. F100.\nM30\n"
+            )
+        };
+        refused(&machine, &changed("G0 Y5."), &tools(dialect), 8, "tool 3 is in the spindle");
+        for words in ["G0 G43 H3 Z100.", "G0 G49 Z100."] {
+            let done = corrected(&machine, &changed(words), &tools(dialect), 1.0);
+            done.unwrap_or_else(|error| panic!("{dialect:?} {words}: {error}"));
+        }
+    }
+    // SINUMERIK: which cutting edge acts after M6 without D is a machine datum.
+    let siemens = tools(Dialect::Siemens);
+    let edges = |first: &str, second: &str| {
+        format!("G71 G90 G17 G94 G54\n{first}\nM6\nG0 X100 Y100 Z100\nT3\nM6\n{second}G0 X100 Y100 Z100\nM30\n")
+    };
+    let done = corrected(&machine, &edges("T1 D1", "D1 "), &siemens, 1.0).expect("a program").0;
+    let moves: Vec<&str> = done.lines().filter(|line| line.contains("G0")).collect();
+    assert_ne!(moves[0], moves[1].trim_start_matches("D1 "));
+    refused(&machine, &edges("T1 D1", ""), &siemens, 7, "no D says");
+    refused(&machine, &edges("T1", "D1"), &siemens, 4, "no D says");
+    refused(&machine, &edges("T1 D2", "D1"), &siemens, 2, "first cutting edge");
+    // In G18 the length of a SINUMERIK acts along Y.
+    let planes = |edge: &str| {
+        format!("G71 G90 G17 G94 G54\nT1 {edge}\nG0 X0 Y0 Z100\nG18\nG1 X10 F100\nG2 X20 Z90 I0 K-10\nM30\n")
+    };
+    refused(&machine, &planes("D1"), &siemens, 5, "acts along Y");
+    corrected(&machine, &planes("D0"), &siemens, 1.0).unwrap_or_else(|error| panic!("{error}"));
+    // Fanuc: an H alone, and what takes the length back on some controls.
+    let after = |words: &str| {
+        format!(
+            "G21 G90 G17 G94 G54\nT1 M6\nG0 G43 H1 Z100.\nG0 X0. Y0.\n{words}\nG0 X5.\nG0 Z90.\nG1 X60. F100.\nM30\n"
+        )
+    };
+    for (words, line, says) in [
+        ("H0", 5, "an H alone"),
+        ("H3", 5, "an H alone"),
+        ("G53 G0 Z200.", 7, "take the length"),
+        ("G28 Z150.", 7, "take the length"),
+    ] {
+        refused(&machine, &after(words), &fanuc, line, says);
+        let again = after(&format!("{words}\nG43 H1 Z100."));
+        if says != "an H alone" {
+            corrected(&machine, &again, &fanuc, 1.0).unwrap_or_else(|error| panic!("{words}: {error}"));
+        }
+    }
+    // What G53 does not name stays where it was written: relative moves go on from there.
+    for dialect in [Dialect::Linuxcnc, Dialect::Iso, Dialect::Grbl, Dialect::Siemens] {
+        let inch = if dialect == Dialect::Siemens { "G71" } else { "G21" };
+        for parked in ["G53 G0 Z200.", "G53 G0 X50.", "G53 G0 X50. Y20. Z200."] {
+            let text = format!("{inch} G90 G17 G94 G54\nG0 X100. Y90. Z100.\n{parked}\nG91\nG1 X5. F100.\nY5.\nM30\n");
+            let mut options = Options::new(dialect);
+            options.start = [Some(0.0); 9];
+            let (done, _) = corrected(&machine, &text, &options, 1.0).unwrap_or_else(|error| panic!("{error}"));
+            let run = |text: &str| Control::new(&machine).run(text);
+            let off = worst(&machine, &run(&text), &run(&done));
+            assert!(off <= TOLERANCE + 2e-5, "{dialect:?} {parked}: {off}\n{done}");
+        }
+    }
+    // The shorter way of an axis that has ends.
+    let table = Machine::public("table-table");
+    let turned = |to: &str| format!("G71 G90 G17 G94 G54\nG0 X0 Y0 Z100 A0 C170\nG1 X10 C={to} F100\nM30\n");
+    let mut options = Options::new(Dialect::Siemens);
+    corrected(&table, &turned("DC(10)"), &options, 1.0).expect("less than half a turn");
+    refused(&table, &turned("DC(-170)"), &options, 3, "the shorter way");
+    options = Options::new(Dialect::Heidenhain);
+    options.tools.only = Some(95.5);
+    options.stays_at_tool_change = true;
+    let text = |way: &str, to: &str| {
+        format!(
+            "BEGIN PGM A MM\nTOOL CALL 5 Z S3000\nL X+0 Y+0 Z+50 A+0 C+170 FMAX {way}\nL X+10 C{to} F500\nEND PGM A MM\n"
+        )
+    };
+    refused(&table, &text("M126", "-170"), &options, 4, "the shorter way");
+    for (way, to) in [("M126", "+10"), ("M127", "-170"), ("", "-170")] {
+        corrected(&table, &text(way, to), &options, 1.0).unwrap_or_else(|error| panic!("{way} {to}: {error}"));
+    }
 }
 
 /// A block that was made rapid afterwards, and a calibration that was changed after its run, are found.

@@ -6,10 +6,11 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use abbe_core::{Calibration, Estimated, Status};
+use abbe_core::{Calibration, Estimated, Status, Verdict};
 use serde_json::Value;
 use tempfile::TempDir;
 
+use crate::at_the_limit::only_what_is_drawn_is_uncertain;
 use crate::support::{Printed, abbe, effect, files_in, read, recipes, root, temporary, tree, values};
 
 /// A recipe whose residuals are nothing but rounding.
@@ -46,6 +47,9 @@ fn every_recipe_runs_and_says_what_it_found_and_the_same_again() {
         insta::assert_snapshot!(format!("{recipe}__run"), rounded(&summary, is_exact(&recipe)));
 
         let results = out.path().join(&recipe);
+        let verdicts = std::fs::read_to_string(results.join("verdicts.json")).unwrap_or_else(|_| "[]".to_owned());
+        let verdicts: Vec<Verdict> = serde_json::from_str(&verdicts).expect("verdicts");
+        only_what_is_drawn_is_uncertain(&recipe, &verdicts);
         let mut calibrations = 0;
         for file in files_in(&results) {
             let name = file.file_name().expect("a name").to_string_lossy().into_owned();

@@ -1,17 +1,16 @@
-//! Figures of standards as recipes find them: expected values of simulated tests, decisions, bad input as users meet it.
+//! Figures of standards as users meet them: limits, decisions, bad input. Expected values: `expected_figures.rs`.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use abbe_core::{Decision, Figure, Rule};
 use abbe_engine::Outcome;
 use serde_json::{Value, json};
 
-use crate::support::{Variant, json_file, read, recipes, root, skipped};
+use crate::support::{Variant, read, recipes, root};
 
-const DATA: [&str; 2] = ["exact", "realistic"];
+pub const DATA: [&str; 2] = ["exact", "realistic"];
 
-fn recipe(name: &str) -> Variant {
+pub fn recipe(name: &str) -> Variant {
     Variant::of(&recipes()[&format!("standards-{name}")])
 }
 
@@ -20,7 +19,7 @@ fn positioning() -> Variant {
 }
 
 /// A recipe with the data of this kind.
-fn on(name: &str, data: &str) -> Variant {
+pub fn on(name: &str, data: &str) -> Variant {
     let mut found = recipe(name);
     for stage in found.0["stages"].as_object_mut().expect("stages").values_mut() {
         if let Some(path) = stage.get("path").and_then(Value::as_str) {
@@ -30,241 +29,10 @@ fn on(name: &str, data: &str) -> Variant {
     found
 }
 
-fn expected(data: &str) -> Value {
-    json_file(&root().join(format!("tests/truth/standards-{data}-expected.json")))
-}
-
-fn figures<'a>(outcome: &'a Outcome, stage: &str) -> &'a [Figure] {
+pub fn figures<'a>(outcome: &'a Outcome, stage: &str) -> &'a [Figure] {
     let failures: Vec<String> = outcome.failures.iter().map(|failure| failure.error.to_string()).collect();
     let verdict = outcome.verdicts.iter().find(|verdict| verdict.stage == stage);
     &verdict.unwrap_or_else(|| panic!("no verdict of {stage}: {failures:?}")).figures
-}
-
-/// All figures of a run, by name and unit.
-struct Found(BTreeMap<String, Figure>, String);
-
-impl Found {
-    fn of(name: &str, recipe: &Variant) -> Self {
-        let outcome = recipe.run();
-        assert!(outcome.failures.is_empty(), "{name} fails");
-        let all = outcome.verdicts.iter().flat_map(|verdict| verdict.figures.clone());
-        Self(all.map(|figure| (figure.name.clone(), figure)).collect(), name.to_owned())
-    }
-
-    /// The figure of this name is this number, to its ten digits.
-    fn is(&self, name: &str, unit: &str, expected: &Value) {
-        let figure = self.0.get(name).unwrap_or_else(|| panic!("{}: no {name} of {:?}", self.1, self.0.keys()));
-        let (found, expected) = (figure.value.expect("a value"), expected.as_f64().expect("a number"));
-        assert_eq!(figure.unit, unit, "{} {name}", self.1);
-        let close = (found - expected).abs() <= 2e-9 * expected.abs() + 1e-9;
-        assert!(close, "{} {name}: {found} instead of {expected}", self.1);
-    }
-}
-
-#[test]
-fn positioning_is_as_expected() {
-    let found = Found::of("positioning", &recipe("positioning"));
-    let names = [
-        ("A", "A", "U_A"),
-        ("A up", "A_up", "U_A"),
-        ("A down", "A_down", "U_A"),
-        ("E", "E", "U_E"),
-        ("E up", "E_up", "U_E"),
-        ("E down", "E_down", "U_E"),
-        ("M", "M", "U_M"),
-        ("R", "R", "U_R"),
-        ("R up", "R_up", "U_R"),
-        ("R down", "R_down", "U_R"),
-        ("B", "B", "U_B"),
-        ("mean B", "B_mean", "U_B"),
-    ];
-    let vdi = [
-        ("VDI P", "P"),
-        ("VDI Pa", "Pa"),
-        ("VDI Ps", "Ps_max"),
-        ("VDI mean Ps", "Ps_mean"),
-        ("VDI U", "U_max"),
-        ("VDI mean U", "U_mean"),
-    ];
-    for (file, unit) in [("direct-x", "um"), ("direct-c", "urad"), ("direct-long", "um")] {
-        let of = &expected("realistic")["positioning"][format!("{file}.csv")];
-        for (name, key, uncertainty) in names {
-            let name = format!("{name}[{file}]");
-            if of[key].is_null() {
-                assert!(!found.0.contains_key(&name), "{name} cannot be told");
-                continue;
-            }
-            found.is(&name, unit, &of[key]);
-            let stated = of["uncertainty"][uncertainty].as_f64().expect("U");
-            let u = found.0[&name].standard_uncertainty.expect("u");
-            assert!((2.0 * u - stated).abs() < 2e-9 * stated, "{name}: {u} instead of {stated} / 2");
-        }
-        for (name, key) in vdi {
-            let name = format!("{name}[{file}]");
-            match of["vdi3441"].get(key) {
-                Some(value) => found.is(&name, unit, value),
-                None => assert!(!found.0.contains_key(&name), "{name}"),
-            }
-        }
-    }
-}
-
-/// Real measurements of others with the figures that they printed, where they are at hand. E of both directions together and R with
-/// its middle term are not what these reports print under these names.
-#[test]
-fn positioning_agrees_with_published_reports_where_they_follow_the_standard() {
-    let folder = root().join("../shared/data/standards/published");
-    if !folder.is_dir() {
-        let test = "positioning_agrees_with_published_reports_where_they_follow_the_standard";
-        return skipped(test, "the published reports of others are not part of the project");
-    }
-    let printed = json_file(&folder.join("printed.json"));
-    for (file, step) in [("direct-ecmc-a", 1e-8), ("direct-ecmc-b", 1e-5), ("direct-ecmc-c", 1e-5)] {
-        let of = &printed[format!("{file}.csv")];
-        let mut recipe = positioning().set("linear", "path", json!(folder.join(format!("{file}.csv"))));
-        let settings = recipe.stage("positioning").as_object_mut().expect("a stage");
-        settings.insert("from".to_owned(), json!("linear"));
-        settings.remove("limits");
-        let found = Found::of(file, &recipe);
-        // Readings are rounded to that digit as well, so that figures may be one off in it.
-        let mm = |name: &str| 1e-3 * found.0[&format!("{name}[{file}]")].value.expect("a value");
-        let agrees = |name: &str, key: &str| (mm(name) - of[key].as_f64().expect("a number")).abs() <= 1.001 * step;
-        for (name, key) in [
-            ("A up", "A_up"),
-            ("A down", "A_down"),
-            ("A", "A"),
-            ("E up", "E_up"),
-            ("E down", "E_down"),
-            ("M", "M"),
-            ("R up", "R_up"),
-            ("R down", "R_down"),
-            ("B", "B"),
-            ("mean B", "B_mean"),
-        ] {
-            assert!(agrees(name, key), "{file} {name}: {} instead of {}", mm(name), of[key]);
-        }
-        match file {
-            "direct-ecmc-b" => assert!((mm("E") - 0.0635).abs() < 1e-4 && !agrees("E", "E"), "{}", mm("E")),
-            "direct-ecmc-c" => assert!((mm("R") - 0.00835).abs() < 5e-6 && !agrees("R", "R"), "{}", mm("R")),
-            _ => {}
-        }
-    }
-}
-
-#[test]
-fn diagonals_are_as_expected() {
-    let names =
-        [("A", "A"), ("A up", "A_up"), ("A down", "A_down"), ("E", "E"), ("E up", "E_up"), ("E down", "E_down")];
-    let more = [("M", "M"), ("R", "R"), ("R up", "R_up"), ("R down", "R_down"), ("B", "B"), ("mean B", "B_mean")];
-    for data in DATA {
-        let (found, expected) = (Found::of(data, &on("diagonals", data)), &expected(data)["diagonal"]);
-        for diagonal in ["ppp", "npp", "pnp", "nnp", "xy-pp", "xy-np", "yz-pp", "yz-np", "zx-pp", "zx-np"] {
-            for (name, key) in names.iter().chain(&more) {
-                found.is(&format!("{name}[direct-diagonal-{diagonal}]"), "um", &expected[diagonal][key]);
-            }
-            let slope = &expected[diagonal]["slope_um_per_m"];
-            found.is(&format!("slope[direct-diagonal-{diagonal}]"), "um/m", slope);
-        }
-        for kind in ["body", "face"] {
-            found.is(&format!("E_d[{kind}]"), "um", &expected[kind]["E_d"]);
-            found.is(&format!("B_d[{kind}]"), "um", &expected[kind]["B_d"]);
-        }
-        for face in ["xy", "yz", "zx"] {
-            let squareness = &expected["squareness_from_face_diagonals_urad"][face];
-            found.is(&format!("squareness[{face}]"), "urad", squareness);
-        }
-    }
-    let outcome = recipe("diagonals").run();
-    let told = outcome.verdicts[0].remarks.join("\n");
-    let hidden = "body diagonals hide errors that cancel along them: a scale of X of 10.0 um/m with one of Y of -17.8 um/m \
-                  or one of Z of -25.6 um/m changes none of them";
-    assert!(told.contains(hidden) && told.contains("face zx diagonals hide"), "{told}");
-    // Without the second diagonal of a face there is no squareness, and its limit fails.
-    let alone = recipe("diagonals").set("diagonals", "from", json!(["ppp", "xy-pp"])).run();
-    let absent = figures(&alone, "diagonals").iter().find(|figure| figure.name.contains("squareness")).expect("it");
-    assert_eq!((absent.value, absent.decision), (None, Some(Decision::Fail)));
-}
-
-#[test]
-fn circles_are_as_expected() {
-    for data in DATA {
-        let (found, expected) = (Found::of(data, &on("circular", data)), &expected(data)["circular"]);
-        for file in ["ballbar-xy-f500", "ballbar-xy-f2000"] {
-            let of = &expected[format!("{file}.csv")];
-            let is = |name: &str, key: &str| found.is(&format!("{name}[{file}]"), "um", &of[key]);
-            for way in ["ccw", "cw"] {
-                is(&format!("G_{way}"), &format!("G_{way}"));
-                is(&format!("G_{way}_lsc"), &format!("G_{way}_lsc"));
-                for end in ["max", "min"] {
-                    is(&format!("F_{end}_{way}"), &format!("F_{end}_{way}"));
-                    is(&format!("F_{end}_{way} as set up"), &format!("F_{end}_{way}_as_set_up"));
-                }
-            }
-            for (name, key) in [("G(b)", "G_b"), ("G(b)_lsc", "G_b_lsc"), ("D", "D"), ("H", "H")] {
-                is(name, key);
-            }
-            found.is(&format!("angle of H[{file}]"), "deg", &of["H_at_deg"]);
-            found.is(&format!("centre along 0 deg[{file}]"), "um", &of["centre_um"][0]);
-            found.is(&format!("centre along 90 deg[{file}]"), "um", &of["centre_um"][1]);
-        }
-        let of = &expected["ballbar-zx-arc.csv"];
-        for (way, end) in [("ccw", "max"), ("ccw", "min"), ("cw", "max"), ("cw", "min")] {
-            let name = format!("F_{end}_{way} as set up[ballbar-zx-arc]");
-            found.is(&name, "um", &of[format!("F_{end}_{way}")]);
-        }
-        let others = found.0.keys().filter(|name| name.ends_with("[ballbar-zx-arc]"));
-        assert!(others.into_iter().all(|name| name.contains("as set up")), "an arc has F only");
-    }
-}
-
-#[test]
-fn rotary_axes_are_as_expected() {
-    for data in DATA {
-        let (found, expected) = (Found::of(data, &on("rotary-interpolation", data)), &expected(data)["rotary"]);
-        for file in ["rtest-c", "rtest-a"] {
-            for name in ["radial", "tangential", "axial", "meas_x", "meas_y", "meas_z"] {
-                for way in ["up", "down", "both"] {
-                    let value = &expected[format!("{file}.csv")][name][way];
-                    found.is(&format!("{name} {way}[{file}]"), "um", value);
-                }
-            }
-        }
-    }
-}
-
-#[test]
-fn cmms_are_as_expected() {
-    for data in DATA {
-        let mut recipe = on("cmm", data);
-        if data == "exact" {
-            recipe.0["stages"].as_object_mut().expect("stages").remove("repeats");
-            recipe = recipe.set("e0", "from", json!("lengths"));
-        }
-        let (found, expected) = (Found::of(data, &recipe), &expected(data)["cmm"]);
-        for (file, symbol, key) in [("lengths-e0", "E_0", "E0"), ("lengths-el150", "E_150", "EL150")] {
-            let of = &expected[key];
-            found.is(&format!("{symbol} max[{file}]"), "um", &of["E_max_um"]);
-            found.is(&format!("{symbol} min[{file}]"), "um", &of["E_min_um"]);
-            found.is(&format!("largest |{symbol}|/MPE[{file}]"), "1", &of["largest_E_over_MPE"]);
-            let outside = of["outside"].as_array().expect("a list").len();
-            found.is(&format!("values outside[{file}]"), "1", &json!(outside));
-        }
-        found.is("R_0 max[lengths-e0]", "um", &expected["E0"]["R0_max_um"]);
-        let [single, multi] = ["probing_single", "probing_multi"].map(|key| &expected[key]);
-        for (symbol, value) in [
-            ("P_FTU", &single["PFTU_um"]),
-            ("P_STU", &single["PSTU_um"]),
-            ("P_FTM", &multi["PFTM_um"]),
-            ("P_STM", &multi["PSTM_um"]),
-            ("P_LTM", &multi["PLTM_um"]),
-            ("P_LTM x", &multi["PLTM_by_axis_um"][0]),
-            ("P_LTM y", &multi["PLTM_by_axis_um"][1]),
-            ("P_LTM z", &multi["PLTM_by_axis_um"][2]),
-        ] {
-            found.is(&format!("{symbol}[sphere-points]"), "um", value);
-        }
-        assert!(found.0.values().all(|figure| figure.decision.is_none_or(|decision| decision == Decision::Pass)));
-    }
 }
 
 /// 105 lengths of which one is outside: it has to be measured again, and the repeats decide.

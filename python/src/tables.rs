@@ -57,10 +57,7 @@ fn of_columns(value: &Bound<'_, PyAny>, names: &Bound<'_, PyAny>) -> PyResult<Ta
         let expected = *rows.get_or_insert(length);
         if length != expected {
             let message = format!("the column `{}` has {length} rows; {expected} were expected", field.name);
-            return Err(raised(
-                value.py(),
-                &Error::data(message).help("all columns of a table have the same length"),
-            ));
+            return Err(raised(value.py(), &Error::data(message).help("all columns of a table have the same length")));
         }
         fields.push(field);
         cells.push(column);

@@ -110,3 +110,32 @@ fn files_that_are_active_are_added() {
         assert!((new - old - (predicted - status)).abs() < 1e-9);
     }
 }
+
+/// A file of the other type, in inches, or with a misread digit would move an axis by hundreds of millimetres.
+#[test]
+fn files_of_another_kind_are_refused() {
+    let machine = random::machine(3, random::Errors::Any);
+    let folder = crate::support::temporary();
+    let path = folder.path().join("old.comp");
+    for (kind, old, line, says) in [
+        (0, "-300 -300.001 -299.998\n0 0.003 0.001\n300 299.996 300.002\n", None, ""),
+        (1, "-300 -300.001 -299.998\n0 0.003 0.001\n300 299.996 300.002\n", Some(1), "type"),
+        (0, "-300 0.001 -0.002\n300 -0.004 0.002\n", Some(1), "type"),
+        (0, "-300 -300.001 -299.998\n0 100.003 0.001\n300 299.996 300.002\n", Some(2), "largest_mm"),
+        (0, "-11.8 -11.8001 -11.8\n11.8 11.8001 11.8\n", None, "it covers 23.6 mm of"),
+    ] {
+        std::fs::write(&path, old).expect("a file");
+        let export = exporter("linuxcnc", &json!({ "type": kind, "axes": ["X"], "existing": { "X": path } }));
+        match export.export(&machine.calibration, machine.model.as_ref()) {
+            Ok(_) => assert!(says.is_empty(), "{old}"),
+            Err(error) => {
+                let told = format!("{error} {:?}", error.help);
+                assert!(!says.is_empty() && told.contains(says), "{old}: {told}");
+                let place = error.place.expect("a place");
+                assert_eq!((place.line, place.file), (line, path.clone()));
+            }
+        }
+    }
+    let export = exporter("linuxcnc", &json!({ "axes": ["X"], "largest_mm": 1e-9 }));
+    assert!(export.export(&machine.calibration, machine.model.as_ref()).is_err());
+}

@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use crate::columnar::exported;
 use crate::packed::{found, touches, with_touches};
-use crate::support::{fit, skipped, temporary};
+use crate::support::{abbe, fit, skipped, temporary};
 
 /// Writes the table in CSV `1` into the folder `2`, in many formats.
 const WRITE: &str = r##"
@@ -106,6 +106,38 @@ fn files_of_another_implementation_give_the_same_calibration() {
     ] {
         let calibration = found(&with_touches(plugin, &folder.path().join(name)), folder.path());
         assert_eq!(calibration, expected, "{name}");
+    }
+}
+
+/// Writes the table in CSV `1` as Parquet with check sums to `2`, and with another digit of a number in it to `3`.
+const DAMAGE: &str = r##"
+import csv, struct, sys
+import pyarrow as pa, pyarrow.parquet as pq
+rows = list(csv.DictReader(line for line in open(sys.argv[1]) if not line.startswith("#")))
+names = [name for name in rows[0] if name.endswith("_mm")]
+columns = {name: [float(row[name]) if name in names else row[name] for row in rows] for name in rows[0]}
+pq.write_table(pa.table(columns), sys.argv[2], compression="none", use_dictionary=False, write_statistics=False,
+    write_page_checksum=True)
+content = bytearray(open(sys.argv[2], "rb").read())
+at = content.find(struct.pack("<d", columns[names[0]][3]))
+assert at > 0
+content[at + 4] ^= 1
+open(sys.argv[3], "wb").write(content)
+"##;
+
+#[test]
+fn check_sums_of_parquet_are_compared() {
+    if !has_pyarrow("check_sums_of_parquet_are_compared") {
+        return;
+    }
+    let folder = temporary();
+    let [whole, damaged] = ["whole.parquet", "damaged.parquet"].map(|name| folder.path().join(name));
+    python(DAMAGE, &[&touches(), &whole, &damaged]);
+    for (file, status) in [(whole, 0), (damaged, 1)] {
+        let recipe = with_touches("parquet", &file).write(folder.path());
+        let run = abbe(folder.path(), &["run", &recipe.display().to_string(), "--out", "out"]);
+        assert_eq!(run.status, status, "{}", run.stderr);
+        assert_eq!(run.stderr.contains("cannot be read as Parquet"), status == 1, "{}", run.stderr);
     }
 }
 

@@ -175,3 +175,49 @@ fn loops_and_subprograms_are_written_out() {
     let found = correct(&public, &["--tolerance-um", "0.05", "--decimals", "6"]);
     assert!(found.status == 2 && found.stderr.contains("0.1 µm"), "{}", found.stderr);
 }
+
+/// A program that runs in circles is ended with Abbe, and nothing of it stays.
+#[test]
+fn a_signal_ends_the_interpreter_too() {
+    if !answers("sh", &["-c", "command -v rs274"]) {
+        return skipped(
+            "a_signal_ends_the_interpreter_too",
+            "there is no rs274 (Debian: apt-get install linuxcnc-uspace)",
+        );
+    }
+    let machine = Machine::public("three-axis");
+    let folder = temporary();
+    let at = folder.path();
+    write(&at.join("errors.calibration.json"), &machine.calibration.to_json().expect("JSON"));
+    write(&at.join("part.ngc"), "G21\n#1=0\no1 while [1]\n#1=[#1+1]\no1 endwhile\nM2\n");
+    let own = at.join("own");
+    std::fs::create_dir(&own).expect("a folder");
+    let arguments = ["compensate", "errors.calibration.json", "part.ngc", "--dialect", "linuxcnc", "--write-out"];
+    let mut run = crate::support::program(at, &[&arguments[..], &["--out", "done.ngc"]].concat())
+        .env("TMPDIR", &own)
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .expect("it starts");
+    let interpreters = || {
+        let processes = std::fs::read_dir("/proc").expect("processes").flatten();
+        processes
+            .filter(|process| std::fs::read_link(process.path().join("cwd")).is_ok_and(|cwd| cwd.starts_with(&own)))
+            .count()
+    };
+    let wait_for = |what: &str, is_so: &mut dyn FnMut() -> bool| {
+        let found = (0..300).any(|_| {
+            std::thread::sleep(std::time::Duration::from_millis(100));
+            is_so()
+        });
+        assert!(found, "{what}");
+    };
+    wait_for("an interpreter", &mut || interpreters() == 1);
+    let sent = Command::new("kill").args(["-TERM", &run.id().to_string()]).status().expect("kill is there");
+    assert!(sent.success());
+    wait_for("an end", &mut || run.try_wait().expect("it can be asked").is_some());
+    assert_eq!(run.wait().expect("it has ended").code(), Some(143));
+    assert_eq!(interpreters(), 0);
+    assert_eq!(std::fs::read_dir(&own).expect("a folder").count(), 0);
+    assert!(!at.join("done.ngc").exists());
+}

@@ -306,11 +306,13 @@ impl<'a> Control<'a> {
         let most = (8.0 * SAGITTA / one.norm()).sqrt();
         let count = (angle.abs() / most).ceil().max(2.0) as usize;
         let begin = one.y.atan2(one.x);
-        // An axis turns around at quarters of the circle.
+        // An axis turns around at quarters of the circle, and beside them where the radius changes: d/dt (r cos(w t)) = 0.
         let quarter = std::f64::consts::FRAC_PI_2;
-        let turns = (-10..=10).map(|count| (f64::from(count) * quarter - begin) / angle);
+        let beside = ((other.norm() - one.norm()) / (one.norm() * angle)).atan();
+        let turns = (-10..=10).map(|count| (f64::from(count) * quarter + beside - begin) / angle);
         let mut parts: Vec<f64> = (0..=count).map(|step| step as f64 / count as f64).collect();
         parts.extend(turns.filter(|part| *part > 1e-7 && *part < 1.0 - 1e-7));
+        parts.extend(near_ends(count));
         parts.sort_by(f64::total_cmp);
         let along = |part: f64| {
             let mut at = between(from, to, part);
@@ -349,7 +351,15 @@ fn straight(from: &ByAxis, to: &ByAxis) -> Vec<ByAxis> {
     let steps =
         from.iter().map(|(axis, at)| (to[axis] - at).abs() / if "ABC".contains(axis.as_str()) { TURN } else { STEP });
     let count = steps.fold(1.0, f64::max).ceil() as usize;
-    (0..=count).map(|step| between(from, to, step as f64 / count as f64)).collect()
+    let mut parts: Vec<f64> = (0..=count).map(|step| step as f64 / count as f64).collect();
+    parts.extend(near_ends(count));
+    parts.sort_by(f64::total_cmp);
+    parts.into_iter().map(|part| between(from, to, part)).collect()
+}
+
+/// Ever shorter steps towards the ends of a block: where the tip is programmed an axis may turn around just before its end.
+fn near_ends(count: usize) -> impl Iterator<Item = f64> {
+    (1..=12).map(move |halved| 0.5_f64.powi(halved) / count as f64).flat_map(|part| [part, 1.0 - part])
 }
 
 /// Tips in the table frame at positions with directions (+1 where none is said).

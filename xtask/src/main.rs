@@ -3,6 +3,8 @@
 //! - `cargo xtask ci [--all]`: everything the gate asks for, the same on every machine; with `--all` nothing may be skipped.
 //! - `cargo xtask bench [--save]`: run the benchmarks, compare with (or write) `benches/baseline.json`.
 //! - `cargo xtask campaign coverage SETS`: whether intervals cover the truth, in SETS simulated measurements each (`tests/coverage.rs`).
+//! - `cargo xtask campaign limits MACHINES`: how many of MACHINES that stand exactly at their limit are accepted
+//!   (`tests/at_the_limit.rs`).
 //! - `cargo xtask campaign controls COUNT SEED`: the laws of `tests/controls` on COUNT random machines each.
 //! - `cargo xtask campaign faults all`: let every system call that writes fail, one by one (`tests/faults.rs`).
 //! - `cargo xtask campaign machines|compensation|tango|bad-inputs|signals|hostile|sizes COUNT SEED`: run a campaign over many random
@@ -46,6 +48,12 @@ fn main() -> ExitCode {
             tests.env("ABBE_COVERAGE_SETS", sets);
             run(tests)
         }
+        ["campaign", "limits", machines] => {
+            let mut tests =
+                cargo(&["test", "--release", "--locked", "--package", "abbe-tests", "--", "--nocapture", "at_the_limit::"]);
+            tests.env("ABBE_LIMIT_MACHINES", machines);
+            run(tests)
+        }
         ["mutate", "--runs", count, "--seed", seed] => {
             let campaign = ["run", "--locked", "--package", "abbe-campaigns", "--", "bad-inputs", count, seed];
             run(cargo(&campaign))
@@ -78,7 +86,7 @@ fn main() -> ExitCode {
         ["schema"] => schema(),
         _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign NAME COUNT SEED | fuzz [--release] --executions COUNT --seed SEED [TARGET] | mutate --runs COUNT --seed SEED | header | linuxcnc [--create-user] \
                      | python | schema\ncampaigns: controls, machines, compensation, tango, bad-inputs, signals, hostile, sizes; \
-                     coverage COUNT; faults all"
+                     coverage COUNT; limits COUNT; faults all"
             .to_owned()),
     };
     match outcome {

@@ -43,8 +43,8 @@ impl Move {
 pub(crate) enum Action {
     /// It is copied. The motion that it makes modal, if it does.
     Copy(Option<Motion>),
-    /// It is copied, and the axes stand at these positions afterwards.
-    Jump { at: [Option<f64>; 9], space: Space, motion: Option<Motion>, is_rapid: bool },
+    /// It is copied, and the axes stand at these positions afterwards; those that it does not move, where they stood.
+    Jump { at: [Option<f64>; 9], moved: [bool; 9], space: Space, motion: Option<Motion>, is_rapid: bool },
     /// A move to correct.
     Move(Box<Move>),
 }
@@ -165,21 +165,27 @@ impl<'a> Reader<'a> {
         let names_axis = line.words.iter().any(|word| place(word.letter).is_some());
         match said.special {
             Special::Dwell => return Ok(Action::Copy(motion)),
+            Special::Names => {
+                let named = line.words.iter().find(|word| place(word.letter).is_some());
+                return match named.filter(|_| motion.is_some()) {
+                    Some(word) => Err(refused(word, "a position, or the name of an axis of another code", APART)),
+                    None => Ok(Action::Copy(motion)),
+                };
+            }
             Special::SetSystem | Special::Shift => {
                 self.modal.set_offsets(said.special, &line)?;
                 return Ok(Action::Copy(motion));
             }
             Special::Home => {
-                for axis in
-                    (0..9).filter(|axis| !names_axis || line.words.iter().any(|word| place(word.letter) == Some(*axis)))
-                {
-                    self.modal.at[axis] = None;
-                }
-                return Ok(self.jump(motion, true));
+                let moved = if names_axis { named(&line) } else { [true; 9] };
+                (0..9).filter(|axis| moved[*axis]).for_each(|axis| self.modal.at[axis] = None);
+                self.modal.leaves_length(moved[2], self.options);
+                return Ok(self.jump(motion, true, moved));
             }
             Special::MachineBlock => {
                 self.machine_block(&line)?;
-                return Ok(self.jump(motion, true));
+                self.modal.leaves_length(named(&line)[2], self.options);
+                return Ok(self.jump(motion, true, named(&line)));
             }
             Special::ToolChange => {
                 // Where the control drives to for it, and whether it comes back, is not in the program.
@@ -188,7 +194,7 @@ impl<'a> Reader<'a> {
                     return Err(refused(word, "a move beside a change of the tool", help));
                 }
                 self.modal.at = [None; 9];
-                return Ok(self.jump(motion, false));
+                return Ok(self.jump(motion, false, [true; 9]));
             }
             Special::None => {}
         }
@@ -205,8 +211,8 @@ impl<'a> Reader<'a> {
         }
     }
 
-    pub(crate) fn jump(&self, motion: Option<Motion>, is_rapid: bool) -> Action {
-        Action::Jump { at: self.modal.at, space: self.modal.space, motion, is_rapid }
+    pub(crate) fn jump(&self, motion: Option<Motion>, is_rapid: bool, moved: [bool; 9]) -> Action {
+        Action::Jump { at: self.modal.at, moved, space: self.modal.space, motion, is_rapid }
     }
 
     pub(crate) fn machine_block(&mut self, line: &Line) -> Result<(), Refusal> {
@@ -221,7 +227,7 @@ impl<'a> Reader<'a> {
                 return Err(refused(word, "a relative position in machine coordinates", "write G90"));
             }
             // Whether a SINUMERIK leaves the length of the tool out here is a machine datum (10760, G53_TOOLCORR).
-            let is_open = self.options.dialect == Dialect::Siemens && self.modal.length.is_some() && axis < 3;
+            let is_open = self.options.dialect.is_siemens() && self.modal.length.is_some() && axis < 3;
             self.modal.at[axis] = (!is_open).then(|| word.value * self.modal.unit(axis));
         }
         Ok(())
@@ -269,6 +275,7 @@ impl<'a> Reader<'a> {
     }
 
     pub(crate) fn motion(&mut self, line: Line, said: Said, motion: Motion) -> Result<Action, Refusal> {
+        self.check_length(&line, motion)?;
         let offset = self.modal.offset();
         let (mut target, mut named) = (self.modal.at, [false; 9]);
         for word in &line.words {
@@ -291,25 +298,14 @@ impl<'a> Reader<'a> {
                 (true, None) => return Err(refused(word, "a relative move from a position that is not known", START)),
             };
             self.check_travel(word, axis, target[axis])?;
-            if let (Some(from), Some(to)) = (self.modal.at[axis], target[axis])
-                && !relative
-                && self.modal.machine.is_endless(axis)
-                && (to - from).abs() > 180.0
-            {
-                let help = "write it in smaller turns, or relative";
-                return Err(refused(
-                    word,
-                    "more than half a turn of an axis without ends, which way is not known",
-                    help,
-                ));
-            }
+            self.check_way(word, axis, target[axis], relative)?;
         }
         let places: Vec<usize> = self.modal.machine.places().collect();
         let start_known = places.iter().all(|axis| self.modal.at[*axis].is_some());
         if let Some(unknown) = places.iter().find(|axis| target[**axis].is_none()) {
             self.modal.at = target;
             if motion == Motion::Rapid {
-                return Ok(self.jump(said.motion_word.and(Some(motion)), true));
+                return Ok(self.jump(said.motion_word.and(Some(motion)), true, named));
             }
             let what = format!("a move in feed while the position of {} is not known", letter(*unknown));
             return Err(first(&line, &what, START));
@@ -349,6 +345,42 @@ impl<'a> Reader<'a> {
             late: said.late,
             line,
         })))
+    }
+
+    /// Refuses turns whose sense the control chooses: more than half a turn of an axis without ends, or by the shorter way.
+    fn check_way(&self, word: &Word, axis: usize, target: Option<f64>, relative: bool) -> Result<(), Refusal> {
+        let (Some(from), Some(to)) = (self.modal.at[axis], target) else { return Ok(()) };
+        if relative || !is_rotary(axis) || (to - from).abs() <= 180.0 {
+            return Ok(());
+        }
+        let help = "write it in smaller turns, or relative";
+        if self.modal.machine.is_endless(axis) {
+            return Err(refused(word, "more than half a turn of an axis without ends, which way is not known", help));
+        }
+        if word.sense == Sense::Shortest || self.modal.takes_shorter_way {
+            let what = "the shorter way is not the one between the ends of this axis: has it ends?";
+            return Err(refused(word, what, help));
+        }
+        Ok(())
+    }
+
+    /// Refuses cuts, and moves along the tool, while it is not known which length acts.
+    fn check_length(&self, line: &Line, motion: Motion) -> Result<(), Refusal> {
+        let is_siemens = self.options.dialect.is_siemens();
+        let [i, j] = self.modal.plane;
+        if is_siemens && [i, j] != [0, 1] && self.modal.space == Space::Joints && self.modal.length.is_some() {
+            let axis = letter(3 - i - j);
+            let what =
+                format!("the length of the tool acts along {axis} in this plane; a calibration has the tool along Z");
+            return Err(first(line, &what, "write the arc as lines in G17, or D0 before it"));
+        }
+        let Some(what) = &self.modal.open_length else { return Ok(()) };
+        let names_it = line.words.iter().any(|word| word.letter == b'Z');
+        if motion == Motion::Rapid && (!names_it || self.options.dialect == Dialect::Linuxcnc) {
+            return Ok(());
+        }
+        let help = if is_siemens { "write D1 after it" } else { "write G43 with its H, or G49" };
+        Err(first(line, what, help))
     }
 
     fn inverse_meaning(&self, word: &Word) -> Result<(), Refusal> {
@@ -433,8 +465,17 @@ const WITH_NUMBERS: [f64; 4] = [5.1, 8.0, 61.0, 64.0];
 /// Farthest that the end of an arc may be from its circle, mm.
 const OFF_CIRCLE: f64 = 0.01;
 
+const APART: &str = "write the motion in a block of its own";
+
 const START: &str = "say where the axes stand: `--start X0,Y0,Z0`, or begin with a rapid move that names all axes; after M6 or TOOL CALL, which may \
                      move them, such a move is needed too, or `--tool-change stays`";
+
+/// The axes that a block names.
+pub(crate) fn named(line: &Line) -> [bool; 9] {
+    let mut named = [false; 9];
+    line.words.iter().filter_map(|word| place(word.letter)).for_each(|axis| named[axis] = true);
+    named
+}
 
 /// A refusal of a whole block, at the word of its motion.
 fn first(line: &Line, what: &str, help: &str) -> Refusal {

@@ -145,6 +145,8 @@ pub(crate) enum Meaning {
     Keep,
     /// Its words are no positions.
     Dwell,
+    /// Its axis words name axes, and are no positions.
+    Names,
     Refuse(&'static str, &'static str),
 }
 
@@ -159,7 +161,7 @@ const ALL: u8 = L | I | F | S | G;
 struct Code(u16, u8, u8, Meaning);
 
 use Meaning::{
-    ArcAbsolute, Dwell, Feed, FeedPerTime, Home, Inches, InverseTime, Keep, MachineBlock, NoShift, Plane, Rapid,
+    ArcAbsolute, Dwell, Feed, FeedPerTime, Home, Inches, InverseTime, Keep, MachineBlock, Names, NoShift, Plane, Rapid,
     Refuse, Relative, SetSystem, Shift, System, ToolCentre, ToolLength, ToolLengthOff,
 };
 
@@ -188,7 +190,7 @@ const CODES: &[Code] = &[
     Code(40, ALL, 0, Dwell),
     Code(50, L, 1, SPLINE),
     Code(51, L, 1, SPLINE),
-    Code(51, F, 0, Keep),
+    Code(51, F, 0, Names),
     Code(52, L, 1, SPLINE),
     Code(53, L, 1, SPLINE),
     Code(61, F, 1, SPLINE),
@@ -232,7 +234,7 @@ const CODES: &[Code] = &[
     Code(440, I | F, 8, Refuse("a tool length that counts the other way", "use G43")),
     Code(490, L | I | F | G, 8, ToolLengthOff),
     Code(500, F, 11, Keep),
-    Code(501, F, 11, Keep),
+    Code(501, F, 11, Names),
     Code(510, F, 11, SCALED),
     Code(511, F, 11, SCALED),
     Code(520, L | F, 0, Shift),
@@ -374,6 +376,7 @@ impl Meaning {
             Self::Refuse(why, _) => format!("refused: {why}"),
             Self::Home | MachineBlock => "kept as it is; the position is followed".to_owned(),
             Self::Keep | Self::Dwell => "kept as it is".to_owned(),
+            Self::Names => "kept as it is; axes that it names do not move".to_owned(),
             _ => "followed".to_owned(),
         }
     }

@@ -78,11 +78,15 @@ impl Path {
         (self.from[arc.plane[0]] - arc.centre[0]).hypot(self.from[arc.plane[1]] - arc.centre[1])
     }
 
-    /// Parts of an arc at which one of its coordinates turns around.
+    /// Parts of an arc at which one of its coordinates turns around. Where its radius changes, that is not at a quarter of the circle:
+    /// the path is inclined to the circle, by an angle whose tangent is the change of the radius by the arc length.
     pub fn turns(&self) -> Vec<f64> {
         let Some(arc) = self.arc else { return Vec::new() };
         let [i, j] = arc.plane;
-        let start = (self.from[j] - arc.centre[1]).atan2(self.from[i] - arc.centre[0]);
+        let radius = |end: &Coordinates| (end[i] - arc.centre[0]).hypot(end[j] - arc.centre[1]);
+        let (first, last) = (radius(&self.from), radius(&self.to));
+        let inclined = ((last - first) / (0.5 * (first + last) * arc.sweep)).atan();
+        let start = (self.from[j] - arc.centre[1]).atan2(self.from[i] - arc.centre[0]) - inclined;
         let quarter = TAU / 4.0;
         let mut found: Vec<f64> = (-12..=12)
             .map(|count| (f64::from(count) * quarter - start) / arc.sweep)
@@ -154,5 +158,27 @@ mod tests {
         let middle = path.at(0.5);
         assert!(middle[0].abs() < 1e-12 && (middle[1] - 5.0).abs() < 1e-12);
         assert_eq!(path.turns().len(), 1);
+    }
+
+    /// Next to a turn the coordinate that turns is on one side.
+    #[test]
+    fn coordinates_turn_where_they_are_said_to() {
+        for (from, to, turn) in
+            [([3.0, 4.0], [-3.0, 4.01], 1.0), ([-4.0, -3.0], [5.008, 0.3], 5.0), ([0.85, 4.0], [0.5, -4.08], -3.0)]
+        {
+            let mut path =
+                Path { from: [0.0; 9], to: [0.0; 9], arc: Some(Arc { plane: [0, 1], centre: [0.0; 2], sweep: 0.0 }) };
+            path.from[..2].copy_from_slice(&from);
+            path.to[..2].copy_from_slice(&to);
+            let sweep = sweep(from, to, [0.0; 2], turn < 0.0);
+            path.arc = Some(Arc { plane: [0, 1], centre: [0.0; 2], sweep });
+            let turns = path.turns();
+            assert!(!turns.is_empty(), "{path:?}");
+            for part in turns {
+                let near = [-1.0, 0.0, 1.0].map(|side| path.at(part + side * 1e-5));
+                let turned = (0..2).any(|axis| (near[1][axis] - near[0][axis]) * (near[2][axis] - near[1][axis]) < 0.0);
+                assert!(turned, "{part} of {path:?}");
+            }
+        }
     }
 }

@@ -1,5 +1,7 @@
 //! The modal state of a control, and what a block changes of it.
 
+mod length;
+
 use std::rc::Rc;
 
 use crate::dialect::{Meaning, code_name, meaning, meaning_of_name};
@@ -53,6 +55,12 @@ pub(crate) struct Modal {
     tool: Option<u32>,
     next_tool: Option<u32>,
     pub(crate) length: Option<f64>,
+    /// Whether a D came after the last T (SINUMERIK).
+    has_edge: bool,
+    /// Why it is not known which length acts, after a change of the tool.
+    pub(crate) open_length: Option<String>,
+    /// Whether rotary axes take the shorter way (M126).
+    pub(crate) takes_shorter_way: bool,
     pub(crate) space: Space,
     /// Where the axes stand, in `space`.
     pub(crate) at: [Option<f64>; 9],
@@ -69,6 +77,7 @@ pub(crate) struct Modal {
 pub(crate) enum Special {
     None,
     Dwell,
+    Names,
     Home,
     SetSystem,
     Shift,
@@ -112,6 +121,9 @@ impl Modal {
             tool: None,
             next_tool: None,
             length: None,
+            has_edge: false,
+            open_length: None,
+            takes_shorter_way: false,
             space: Space::Joints,
             at: options.start,
             machine,
@@ -164,12 +176,20 @@ impl Modal {
                 b'T' => {
                     self.next_tool = Some(word.value as u32);
                     if options.dialect.is_siemens() {
-                        self.tool = self.next_tool;
+                        (self.tool, self.has_edge) = (self.next_tool, false);
                     }
                     continue;
                 }
                 b'D' if options.dialect.is_siemens() => {
-                    length = Some((word, word.value != 0.0));
+                    if word.value > 1.0 && options.tools.only.is_none() {
+                        let help = "give one length for all tools: `--tool-length-mm`";
+                        return Err(refused(
+                            word,
+                            "a table of lengths has the first cutting edge of a tool alone",
+                            help,
+                        ));
+                    }
+                    (length, self.has_edge) = (Some((word, word.value != 0.0)), true);
                     continue;
                 }
                 0 => siemens_name(word)?,
@@ -215,10 +235,22 @@ impl Modal {
                 Meaning::SetSystem => special(&mut said, Special::SetSystem)?,
                 Meaning::Shift => special(&mut said, Special::Shift)?,
                 Meaning::Dwell => special(&mut said, Special::Dwell)?,
+                Meaning::Names => special(&mut said, Special::Names)?,
                 Meaning::NoShift => self.shift = [0.0; 9],
                 Meaning::Keep => {}
                 Meaning::Refuse(what, help) => return Err(refused(word, what, help)),
             }
+        }
+        if let (None, Some(word)) = (length, line.words.iter().find(|word| word.letter == b'H'))
+            && options.dialect.has_program_numbers()
+            && self.length.is_some()
+        {
+            let help = "write G43 with it, or G49 for H0";
+            return Err(refused(
+                word,
+                "an H alone, which changes the length of the tool on some of these controls",
+                help,
+            ));
         }
         // The length counts where tips are computed: first off, or on.
         if let Some((word, false)) = centre {
@@ -244,6 +276,7 @@ impl Modal {
         match word.value as u32 {
             6 => {
                 self.tool = self.next_tool;
+                self.open_length = self.left_open(options);
                 if !options.stays_at_tool_change {
                     if said.special != Special::None {
                         return Err(refused(word, "a change of the tool beside another code", MULTIPLE));
@@ -271,64 +304,6 @@ impl Modal {
             }
             5 | 9 if options.dialect.stops_late() => said.late.push(index),
             _ => {}
-        }
-        Ok(())
-    }
-
-    fn set_length(
-        &mut self,
-        word: &Word,
-        on: bool,
-        line: &Line,
-        options: &Options,
-        build: &MachineOf<'_>,
-    ) -> Result<(), Refusal> {
-        let number = match line.words.iter().find(|word| word.letter == b'H') {
-            Some(of) => Some(of.value as u32),
-            None => self.tool,
-        };
-        // H0 is no tool.
-        let on = on && number != Some(0);
-        if let Some((own, called)) = self.tool.zip(number).filter(|(own, called)| on && own != called)
-            && let [Some(of_own), Some(of_called)] = [own, called].map(|number| options.tools.length(number))
-            && of_own != of_called
-        {
-            let message = format!(
-                "tool {own} is in the spindle, {of_own} mm long, and the length of tool {called} is called, {of_called} mm"
-            );
-            let help = "if both numbers are meant for this tool, give the length of its tip: `--tool-length-mm`";
-            return Err(refused(word, &message, help));
-        }
-        let length = match on {
-            false => None,
-            true => {
-                let found = number.map_or(options.tools.only, |number| options.tools.length(number));
-                let help = "give it: `--tools tool.tbl`, or `--tool-length-mm`";
-                Some(found.ok_or_else(|| {
-                    let number = number.map_or("of the spindle".to_owned(), |number| number.to_string());
-                    refused(word, &format!("the length of the tool {number} is not known"), help)
-                })?)
-            }
-        };
-        let moves = line.words.iter().any(|word| word.letter == b'Z');
-        if options.dialect.has_program_numbers() && length != self.length && !moves && self.space == Space::Joints {
-            // Some of these controls move Z at once.
-            self.at[2] = None;
-        }
-        let failed = |error: abbe_core::Error| refused(word, &error.message, "is the length right?");
-        self.use_length(length, options, build).map_err(failed)
-    }
-
-    /// The machine with a tool of this length.
-    pub(crate) fn use_length(
-        &mut self,
-        length: Option<f64>,
-        options: &Options,
-        build: &MachineOf<'_>,
-    ) -> abbe_core::Result<()> {
-        if length != self.length {
-            self.machine = Rc::new(build(length.or(options.tools.only))?);
-            self.length = length;
         }
         Ok(())
     }

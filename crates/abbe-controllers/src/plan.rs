@@ -76,21 +76,25 @@ impl<'a> Planner<'a> {
         Self { options, written: None, known: [true; 9], directions: [1.0; 9], last: None }
     }
 
-    /// The axes have moved without a correction.
-    pub(crate) fn jumped(&mut self, at: &[Option<f64>; 9]) {
+    /// Axes have moved without a correction; the others stand where they were written.
+    pub(crate) fn jumped(&mut self, at: &[Option<f64>; 9], moved: &[bool; 9]) {
+        let known = |axis: usize| match self.written {
+            Some(written) => Some(written[axis]).filter(|_| self.known[axis]),
+            None => self.options.start[axis],
+        };
+        let before: [Option<f64>; 9] = std::array::from_fn(known);
+        let is_first = self.written.is_none();
+        let now: [Option<f64>; 9] =
+            std::array::from_fn(|axis| if moved[axis] || is_first { at[axis] } else { before[axis] });
         for axis in 0..9 {
-            let before = match self.written {
-                Some(written) => Some(written[axis]).filter(|_| self.known[axis]),
-                None => self.options.start[axis],
-            };
-            if let (Some(before), Some(at)) = (before, at[axis])
-                && at != before
+            if let (Some(before), Some(now)) = (before[axis], now[axis])
+                && now != before
             {
-                self.directions[axis] = (at - before).signum();
+                self.directions[axis] = (now - before).signum();
             }
         }
-        self.known = at.map(|at| at.is_some());
-        self.written = Some(at.map(|at| at.unwrap_or(0.0)));
+        self.known = now.map(|at| at.is_some());
+        self.written = Some(now.map(|at| at.unwrap_or(0.0)));
         self.last = None;
     }
 
@@ -225,20 +229,20 @@ impl<'a> Planner<'a> {
         if of.space == Space::Joints {
             return Ok(of.path.turns());
         }
-        let count = (8 * steps(of)).max(128);
-        let parts: Vec<f64> = (0..=count).map(|step| step as f64 / count as f64).collect();
+        let parts = parts_for_turns((8 * steps(of)).max(128));
         let points: Vec<Point> =
             parts.iter().map(|part| Point { at: of.path.at(*part), directions: self.directions }).collect();
         let joints = of.machine.joints(of.space, &points)?;
         let mut found = Vec::new();
         for axis in of.machine.places() {
-            for (step, part) in parts.iter().enumerate().take(count).skip(1) {
-                let [before, here, after] = [step - 1, step, step + 1].map(|step| joints[step][axis]);
-                let (first, second) = (here - before, after - here);
+            for (at, joints) in parts.windows(3).zip(joints.windows(3)) {
+                let [first, second] = [0, 1].map(|step| joints[step + 1][axis] - joints[step][axis]);
                 if first * second < 0.0 && first.abs().max(second.abs()) > STANDS {
-                    // The vertex of the parabola through three points.
-                    let vertex = 0.5 * (first + second) / (first - second);
-                    found.push((part + vertex / count as f64).clamp(0.0, 1.0));
+                    // The vertex of the parabola through three points: where the slope, which is known in the middle of steps, is zero.
+                    let slopes = [first / (at[1] - at[0]), second / (at[2] - at[1])];
+                    let middles = [0.5 * (at[0] + at[1]), 0.5 * (at[1] + at[2])];
+                    let vertex = slopes[0] / (slopes[0] - slopes[1]);
+                    found.push((middles[0] + vertex * (middles[1] - middles[0])).clamp(0.0, 1.0));
                 }
             }
         }
@@ -307,6 +311,20 @@ impl Segment {
 
 /// A move of an axis, mm and degrees, below which it stands.
 const STANDS: f64 = 1e-9;
+
+/// Parts of a move between which axes are looked at for turns: equal steps, and ever shorter ones towards the ends, because a turn
+/// shows only between two steps.
+fn parts_for_turns(count: usize) -> Vec<f64> {
+    let step = 1.0 / count as f64;
+    let short: Vec<f64> = (1..=SHORTER).map(|halved| step * 0.5_f64.powi(halved)).collect();
+    let first = short.iter().rev().copied();
+    let last = short.iter().map(|short| 1.0 - short);
+    let equal = (1..count).map(|index| index as f64 * step);
+    std::iter::once(0.0).chain(first).chain(equal).chain(last).chain([1.0]).collect()
+}
+
+/// How often the first and the last step of [`parts_for_turns`] are halved.
+const SHORTER: i32 = 12;
 
 /// Steps of a move between points that are computed.
 fn steps(of: &Move) -> usize {

@@ -175,11 +175,16 @@ impl Run<'_, '_> {
         }
         match action {
             Action::Copy(motion) => self.waiting.push((Waiting::Text(line.to_vec(), motion), number)),
-            Action::Jump { at, space, motion, is_rapid } => {
+            Action::Jump { at, moved, space, motion, is_rapid } => {
                 self.summary.uncorrected += usize::from(is_rapid);
                 self.waiting.push((Waiting::Text(line.to_vec(), motion), number));
                 self.flush()?;
-                self.planner.jumped(&at);
+                // In other coordinates it is not known how those that stay were written.
+                let is_same = |(own, machine): &(Space, Rc<Machine>)| {
+                    *own == space && (space == Space::Joints || Rc::ptr_eq(machine, &self.reader.modal.machine))
+                };
+                let stays = self.frame.as_ref().is_some_and(is_same);
+                self.planner.jumped(&at, if stays { &moved } else { &[true; 9] });
                 self.frame = Some((space, Rc::clone(&self.reader.modal.machine)));
             }
             Action::Move(_) if self.is_perfect => {

@@ -195,9 +195,14 @@ pub(crate) fn real(named: &Path) -> PathBuf {
     fs::canonicalize(named).ok().filter(|_| named.is_symlink()).unwrap_or_else(|| named.to_owned())
 }
 
+/// Bytes of a name that are left of it in one beside it: disks take 255.
+const PART_OF_NAME: usize = 200;
+
 /// A name beside a folder that nothing has yet.
 fn beside(place: &Path, what: &str) -> io::Result<PathBuf> {
     let name = place.file_name().unwrap_or_default().to_string_lossy();
+    let end = (0..=name.len().min(PART_OF_NAME)).rev().find(|end| name.is_char_boundary(*end)).unwrap_or(0);
+    let name = &name[..end];
     let mut names = (1..10_000).map(|number| place.with_file_name(format!("{name}-{what}-{number}")));
     let free = names.find(|path| path.symlink_metadata().is_err());
     free.ok_or_else(|| io::Error::other("no name is free beside it"))

@@ -58,9 +58,15 @@ impl Entry {
             let content = serde_json::to_value(&stored.calibration).map_err(|error| unwritable(&error))?;
             parts.push(json!([stored.machine, content]));
         }
-        let content = json!([self.recipe, parts, self.verdicts, self.evidence]);
-        Ok(Sha256::digest(content.to_string().as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect())
+        let verdicts = serde_json::to_value(&self.verdicts).map_err(|error| unwritable(&error))?;
+        Ok(hash_of(&self.recipe, &parts, &verdicts, &self.evidence))
     }
+}
+
+/// SHA-256 of the content of an entry; each of `parts` is a machine with its calibration.
+pub(crate) fn hash_of(recipe: &str, parts: &[Value], verdicts: &Value, evidence: &Value) -> String {
+    let content = json!([recipe, parts, verdicts, evidence]);
+    Sha256::digest(content.to_string().as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn unwritable(error: &serde_json::Error) -> Error {

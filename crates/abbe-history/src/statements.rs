@@ -19,7 +19,7 @@ pub(crate) const ENTRIES_BEFORE: &str =
     "SELECT number, sha256, recipe FROM entry WHERE number < $1 ORDER BY number DESC LIMIT $2";
 
 /// One entry.
-pub(crate) const ENTRY: &str = "SELECT recipe, verdicts, evidence FROM entry WHERE number = $1";
+pub(crate) const ENTRY: &str = "SELECT sha256, recipe, verdicts, evidence FROM entry WHERE number = $1";
 
 /// Its calibrations, in the order in which they were added.
 pub(crate) const OF_ENTRY: &str =

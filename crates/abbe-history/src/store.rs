@@ -4,9 +4,10 @@
 use std::cell::RefCell;
 use std::path::Path;
 
-use abbe_core::{Calibration, Error, Result};
+use abbe_core::{Calibration, Error, Result, in_parallel};
+use serde_json::{Value, json};
 
-use crate::entry::{Added, Entry, Filter, Stored, Written};
+use crate::entry::{Added, Entry, Filter, Stored, Written, hash_of};
 #[cfg(feature = "postgres")]
 use crate::server::Server;
 use crate::sqlite::File;
@@ -79,11 +80,20 @@ impl History {
     /// is not.
     pub fn add(&mut self, entry: &Entry) -> Result<Added> {
         let written = Written::of(entry)?;
-        match &mut self.kept {
+        let added = match &mut self.kept {
             Kept::File(file) => file.add(&written),
             #[cfg(feature = "postgres")]
             Kept::Server(server) => server.get_mut().add(&written),
+        }?;
+        if let Added::Known(number) = added {
+            self.verify([number])?;
         }
+        Ok(added)
+    }
+
+    /// Fails if an entry is not what was added: its content has another hash than the one that is kept with it.
+    pub fn verify(&self, numbers: impl IntoIterator<Item = i64>) -> Result<()> {
+        numbers.into_iter().try_for_each(|number| self.entry(number).map(drop))
     }
 
     fn rows(&self, statement: &str, given: &[Cell]) -> Result<Vec<Vec<Cell>>> {
@@ -161,6 +171,10 @@ impl History {
     }
 
     fn stored(&self, statement: &str, given: &[Cell]) -> Result<Vec<(i64, Stored)>> {
+        parsed(self.lines(statement, given)?)
+    }
+
+    fn lines(&self, statement: &str, given: &[Cell]) -> Result<Vec<Line>> {
         let line = |row| {
             let mut cells = Cells::new(row);
             let mut read = || {
@@ -169,22 +183,33 @@ impl History {
             };
             read().ok_or_else(|| self.damaged("its calibrations cannot be read"))
         };
-        parsed(self.rows(statement, given)?.into_iter().map(line).collect::<Result<Vec<_>>>()?)
+        self.rows(statement, given)?.into_iter().map(line).collect()
     }
 
     /// An entry as it was added; none if there is no entry of this number.
+    ///
+    /// Fails if it is not what was added.
     pub fn entry(&self, number: i64) -> Result<Option<Entry>> {
         let Some(row) = self.rows(ENTRY, &[Cell::Integer(number)])?.pop() else { return Ok(None) };
         let mut cells = Cells::new(row);
-        let mut read = || Some((cells.text()?, cells.text()?, cells.text()?));
-        let (recipe, verdicts, evidence) = read().ok_or_else(|| self.damaged("an entry cannot be read"))?;
+        let mut read = || Some((cells.text()?, cells.text()?, cells.text()?, cells.text()?));
+        let (sha256, recipe, verdicts, evidence) = read().ok_or_else(|| self.damaged("an entry cannot be read"))?;
         let damaged = |error: serde_json::Error| self.damaged(&format!("entry {number}: {error}"));
-        let calibrations = self.stored(OF_ENTRY, &[Cell::Integer(number)])?;
+        let lines = self.lines(OF_ENTRY, &[Cell::Integer(number)])?;
+        let part =
+            |line: &Line| serde_json::from_str::<Value>(&line.content).map(|content| json!([line.machine, content]));
+        let parts = lines.iter().map(part).collect::<std::result::Result<Vec<_>, _>>().map_err(damaged)?;
+        let [verdicts, evidence]: [Value; 2] =
+            [serde_json::from_str(&verdicts).map_err(damaged)?, serde_json::from_str(&evidence).map_err(damaged)?];
+        if hash_of(&recipe, &parts, &verdicts, &evidence) != sha256 {
+            let error = self.damaged(&format!("entry {number} is not what was added; its content has another SHA-256"));
+            return Err(error.help("take it from a copy of the history, or add its results to a new one"));
+        }
         Ok(Some(Entry {
             recipe,
-            calibrations: calibrations.into_iter().map(|(_, stored)| stored).collect(),
-            verdicts: serde_json::from_str(&verdicts).map_err(damaged)?,
-            evidence: serde_json::from_str(&evidence).map_err(damaged)?,
+            calibrations: parsed(lines)?.into_iter().map(|(_, stored)| stored).collect(),
+            verdicts: serde_json::from_value(verdicts).map_err(damaged)?,
+            evidence,
         }))
     }
 }
@@ -206,12 +231,9 @@ const SHARE: usize = 16;
 fn parsed(lines: Vec<Line>) -> Result<Vec<(i64, Stored)>> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let share = lines.len().div_ceil(threads).max(SHARE);
-    let calibrations = std::thread::scope(|scope| {
-        let read = |lines: &[Line]| lines.iter().map(|line| Calibration::from_json(&line.content)).collect();
-        let parts: Vec<_> = lines.chunks(share).map(|lines| scope.spawn(move || read(lines))).collect();
-        let stopped = |_| Err(Error::data("calibrations of the history could not be read"));
-        parts.into_iter().map(|part| part.join().unwrap_or_else(stopped)).collect::<Result<Vec<Vec<Calibration>>>>()
-    })?;
+    let shares: Vec<&[Line]> = lines.chunks(share).collect();
+    let read = |lines: &&[Line]| lines.iter().map(|line| Calibration::from_json(&line.content)).collect();
+    let calibrations = in_parallel(&shares, None, read).into_iter().collect::<Result<Vec<Vec<Calibration>>>>()?;
     let stored = |(line, calibration): (Line, Calibration)| {
         let Line { entry, machine, label, at, unit, .. } = line;
         (entry, Stored { machine, label, at, unit, calibration })

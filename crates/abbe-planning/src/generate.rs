@@ -12,6 +12,8 @@ use abbe_numerics::dot;
 use crate::settings::{GeneratedLengths, Generation};
 use crate::wrong;
 
+mod interpolation;
+
 /// A larger number of candidates is taken as a mistake in the settings.
 const MOST: usize = 1_000_000;
 
@@ -24,6 +26,9 @@ const AT_REST: f64 = 1e-6;
 /// grid has, and a grid of which the machine reaches no candidate.
 pub fn generate(wanted: &Generation, artefact: &dyn Artefact, model: &dyn KinematicModel) -> Result<String> {
     let grid = Grid::new(wanted, model)?;
+    if !wanted.interpolations.is_empty() {
+        return grid.interpolations(wanted, &artefact.targets(model.info().stylus_radius)?);
+    }
     match &wanted.lengths {
         Some(lengths) => grid.lengths(wanted, lengths),
         None => grid.touches(wanted, &artefact.targets(model.info().stylus_radius)?),
@@ -41,6 +46,8 @@ fn wrong_grid(key: &str, message: impl Into<String>) -> Error {
 struct Grid<'a> {
     model: &'a dyn KinematicModel,
     nominal: Vec<f64>,
+    /// The status of axes that all stand at zero.
+    standing: Vec<f64>,
     /// One status for every indexation, linear axes at zero.
     indexations: Vec<Vec<f64>>,
 }
@@ -69,6 +76,7 @@ impl<'a> Grid<'a> {
                 }
             }
         }
+        let standing = status.clone();
         let mut indexations = vec![status];
         for (index, axis) in axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Rotary) {
             let positions = wanted.indexations_deg.get(&axis.name).map_or(Ok(vec![0.0]), Series::values);
@@ -97,7 +105,7 @@ impl<'a> Grid<'a> {
             })
         };
         indexations.retain(in_range);
-        Ok(Self { model, nominal: model.info().nominal.clone(), indexations })
+        Ok(Self { model, nominal: model.info().nominal.clone(), standing, indexations })
     }
 
     /// Statuses in which the linear axes bring the tip to points of the table frame; none for points that they do not reach.

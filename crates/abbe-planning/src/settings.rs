@@ -256,6 +256,9 @@ pub struct Generation {
     /// Lengths between two poses on a grid; without them the features of the artefact are measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lengths: Option<GeneratedLengths>,
+    /// Interpolation tests: rotary axes turn, and the linear axes keep the tip at a point of the table.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub interpolations: Vec<Interpolation>,
     /// Columns that have the same number in every row, by their name with its unit: `reading_mm`, which nobody has read yet.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub columns: BTreeMap<String, f64>,
@@ -282,6 +285,59 @@ pub struct GeneratedLengths {
     /// Its angle to that plane, in degrees.
     #[serde(default = "along_x")]
     pub elevation_deg: Series,
+}
+
+/// A test in which rotary axes turn together while the linear axes follow a ball on the table, in the manner of ISO 10791-6.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Interpolation {
+    /// What the test is called, in the column `test` of its rows.
+    pub test: String,
+    /// The ball that the tip follows, by its label in the nominal file; in the column `ball` of the rows.
+    pub ball: String,
+    /// The tip beside the centre of the ball, in directions that turn with the table: nothing for sensors and probes that centre
+    /// themselves; the bar from the ball to the tip for a ball bar, along, across or on the way out from an axis.
+    #[serde(default)]
+    pub beside_mm: [f64; 3],
+    /// Positions of rotary axes in degrees, in the order of the way up: as many for each axis that turns, one for an axis that
+    /// stands. Axes that are not named stand at zero.
+    pub turns_deg: BTreeMap<String, Series>,
+    /// Whether the way is measured back, too.
+    #[serde(default = "yes")]
+    pub both_ways: bool,
+}
+
+fn yes() -> bool {
+    true
+}
+
+impl Interpolation {
+    fn check(&self) -> Result<(), SettingsError> {
+        let is_plain = |text: &str| !text.is_empty() && !text.contains([',', '"', '\n', '\r']);
+        for (name, text) in [("test", &self.test), ("ball", &self.ball)] {
+            if !is_plain(text) {
+                return Err(SettingsError::new(name, "a text without commas and quotation marks was expected"));
+            }
+        }
+        if self.beside_mm.iter().any(|value| !value.is_finite()) {
+            return Err(SettingsError::new("beside_mm", "finite numbers were expected"));
+        }
+        let under = |axis: &str| [PathItem::Key("turns_deg".to_owned()), PathItem::Key(axis.to_owned())];
+        let mut longest = 1;
+        for (axis, positions) in &self.turns_deg {
+            let count = positions.values().map_err(|error| error.under(under(axis)))?.len();
+            if count > 1 && longest > 1 && count != longest {
+                let message =
+                    format!("{count} positions; {longest} were expected, as many as of the other axis that turns");
+                return Err(SettingsError::new("", message).under(under(axis)));
+            }
+            longest = longest.max(count);
+        }
+        match longest {
+            0 | 1 => Err(SettingsError::new("turns_deg", "an axis with two positions or more was expected")),
+            _ => Ok(()),
+        }
+    }
 }
 
 fn reach() -> f64 {
@@ -319,6 +375,14 @@ impl Generation {
             if !value.is_finite() {
                 return Err(under(SettingsError::new(name, "a finite number was expected")));
             }
+        }
+        for (place, test) in self.interpolations.iter().enumerate() {
+            let at = [PathItem::Key("interpolations".to_owned()), PathItem::Index(place)];
+            test.check().map_err(|error| error.under(at))?;
+        }
+        if !self.interpolations.is_empty() && (self.lengths.is_some() || !self.indexations_deg.is_empty()) {
+            let message = "`interpolations` have their own positions: leave `indexations_deg` and `lengths` out";
+            return Err(SettingsError::new("interpolations", message));
         }
         let Some(lengths) = &self.lengths else { return Ok(()) };
         let all = [

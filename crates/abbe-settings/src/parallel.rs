@@ -33,18 +33,24 @@ pub fn in_parallel<T: Sync, R: Send>(items: &[T], threads: Option<usize>, work: 
     }
     let next = AtomicUsize::new(0);
     let results: Vec<Mutex<Option<R>>> = items.iter().map(|_| Mutex::new(None)).collect();
-    std::thread::scope(|scope| {
-        for _ in 0..threads {
-            scope.spawn(|| {
-                ONE_OF_SEVERAL.set(true);
-                while let Some((item, result)) = {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    items.get(index).zip(results.get(index))
-                } {
-                    *result.lock().unwrap_or_else(PoisonError::into_inner) = Some(work(item));
-                }
-            });
+    let take_part = || {
+        let before = ONE_OF_SEVERAL.replace(true);
+        while let Some((item, result)) = {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            items.get(index).zip(results.get(index))
+        } {
+            *result.lock().unwrap_or_else(PoisonError::into_inner) = Some(work(item));
         }
+        ONE_OF_SEVERAL.set(before);
+    };
+    std::thread::scope(|scope| {
+        // Where the system gives no more threads, those that are there do it: this one at least.
+        for _ in 1..threads {
+            if std::thread::Builder::new().spawn_scoped(scope, take_part).is_err() {
+                break;
+            }
+        }
+        take_part();
     });
     results.into_iter().filter_map(|result| result.into_inner().unwrap_or_else(PoisonError::into_inner)).collect()
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde_json::Value;
 
 use crate::circular::{Bidirectional, Sample, Trace};
-use crate::lengths::{Judged, Measured, Permissible, judge, sets};
+use crate::lengths::{Judged, Measured, Permissible, Set, judge, sets};
 use crate::probing::{ball, multi_stylus};
 use crate::rotary_interpolation::{Path, ranges};
 
@@ -47,7 +47,8 @@ impl Table {
 /// Whether a figure is the expected one, to its ten digits.
 fn same(found: f64, expected: &Value, name: &str) {
     let expected = expected.as_f64().unwrap_or_else(|| panic!("no {name}"));
-    let tolerance = 2e-9 * expected.abs() + 1e-10;
+    let digit = if expected == 0.0 { 0.0 } else { 10.0_f64.powf(expected.abs().log10().floor() - 9.0) };
+    let tolerance = 1.001 * digit + 1e-9;
     assert!((found - expected).abs() <= tolerance, "{name}: {found} is not {expected}");
 }
 
@@ -156,7 +157,16 @@ fn lengths_of_a_cmm() {
             for (key, found) in keys.into_iter().zip(figures_of(&all, &permissible)) {
                 same(found, &figures[key], &format!("{data} {name} {key}"));
             }
-            assert_eq!(all.len() as u64, figures["measurements"].as_u64().expect("a number"));
+            assert_eq!(serde_json::json!(all.len()), figures["measurements"]);
+            if let Some(count) = figures.get("sets") {
+                let one_outside =
+                    |set: &&Set| set.places.iter().filter(|place| !all[**place].is_inside(&permissible)).count() == 1;
+                assert_eq!(serde_json::json!(sets.len()), *count);
+                assert_eq!(
+                    serde_json::json!(sets.iter().filter(one_outside).count()),
+                    figures["sets_with_one_outside"]
+                );
+            }
             let outside: Vec<u64> =
                 (1..).zip(&all).filter(|(_, own)| !own.is_inside(&permissible)).map(|(n, _)| n).collect();
             assert_eq!(serde_json::json!(outside), figures["outside"]);
@@ -199,6 +209,12 @@ fn a_sphere_by_one_stylus_and_by_five() {
         let figures = &expected(data)["cmm"];
         let (single, figures) = (&figures["probing_single"], &figures["probing_multi"]);
         let one = ball(&of(0)).expect("a sphere");
+        (0..3).for_each(|axis| same(one.centre[axis], &single["centre_mm"][axis], "the centre"));
+        let of_five: usize = (1..=5).map(|own| of(own).len()).sum();
+        assert_eq!(
+            [&serde_json::json!(of(0).len()), &serde_json::json!(of_five)],
+            [&single["points"], &figures["points"]]
+        );
         same(1e3 * one.form, &single["PFTU_um"], "PFTU");
         same(1e3 * (2.0 * one.radius - DIAMETER), &single["PSTU_um"], "PSTU");
         let five = multi_stylus(&(1..=5).map(of).collect::<Vec<_>>()).expect("spheres").expect("five");

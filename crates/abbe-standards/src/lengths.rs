@@ -16,6 +16,9 @@ pub const REPEATED_SETS: usize = 5;
 pub const VALUES: usize = 3;
 /// Lines of the test of E0.
 pub const LINES: usize = 7;
+
+/// Lines of the test with the stylus beside the axis of the ram, E_L: two positions.
+pub const LINES_BESIDE: usize = 2;
 /// Lengths of each line.
 pub const LENGTHS: usize = 5;
 

@@ -254,4 +254,6 @@ pub struct Vdi {
 }
 
 #[cfg(test)]
+mod published;
+#[cfg(test)]
 mod tests;

@@ -31,7 +31,7 @@ impl Edition {
     /// The name of the standard.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Iso230Part10 => "ISO 230-10",
+            Self::Iso230Part10 => "ISO 230-10:2016",
             Self::Iso10360Part5Of2010 => "ISO 10360-5:2010",
             Self::Iso10360Part5Of2020 => "ISO 10360-5:2020",
         }

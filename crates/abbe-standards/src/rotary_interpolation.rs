@@ -8,7 +8,7 @@
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 
 /// The edition that the figures follow.
-pub const EDITION: &str = "ISO 10791-6, in its manner";
+pub const EDITION: &str = "ISO 10791-6:2014, in its manner";
 
 /// Ranges of one quantity.
 #[derive(Debug, Clone, Copy, PartialEq)]

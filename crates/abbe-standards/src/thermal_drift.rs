@@ -5,6 +5,9 @@
 //!
 //! Times increase, s; readings are in any unit, and as many as times.
 
+/// The edition that the figures follow.
+pub const EDITION: &str = "ISO 230-3:2020, in its manner";
+
 /// What a range is taken over.
 fn between<'a>(times: &[f64], readings: &'a [f64], from: f64, until: f64) -> &'a [f64] {
     let first = times.partition_point(|time| *time < from);

@@ -3,9 +3,7 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use abbe_core::{
-    Cell, Column, ColumnCells, ColumnHeader, Dataset, Error, Field, Quantity, Result, RowOrigin, Values,
-};
+use abbe_core::{Cell, Column, ColumnCells, ColumnHeader, Dataset, Error, Field, Quantity, Result, RowOrigin, Values};
 
 use crate::empty_column;
 use crate::layout::{Layout, Unit};
@@ -176,8 +174,9 @@ fn place_of(name: &str, fields: &[Field]) -> Result<usize> {
     let mut places = (0..fields.len()).filter(|&place| fields[place].name.trim() == name.trim());
     match (places.next(), places.next()) {
         (Some(place), None) => Ok(place),
-        (Some(_), Some(_)) => Err(Error::usage(format!("there are two columns `{}`", shown(name)))
-            .help("give one of them another name")),
+        (Some(_), Some(_)) => {
+            Err(Error::usage(format!("there are two columns `{}`", shown(name))).help("give one of them another name"))
+        }
         _ => {
             let named: Vec<String> = fields.iter().map(|field| format!("`{}`", shown(&field.name))).collect();
             let message = format!("there is no column `{}`; the columns are {}", shown(name), named.join(", "));

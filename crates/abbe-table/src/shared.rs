@@ -98,7 +98,8 @@ mod tests {
             let (data, left_out) = of_table(Path::new("t"), &table(cells.clone()), &layout).unwrap();
             assert_eq!((left_out, data.rows(), data.origins[0].row), (3, 1, 2));
         }
-        for (cell, expected) in [(Cell::Missing, "is empty"), (Cell::Number(f64::NAN), "which is not a finite number")] {
+        for (cell, expected) in [(Cell::Missing, "is empty"), (Cell::Number(f64::NAN), "which is not a finite number")]
+        {
             let other = Layout { no_data: vec!["-9999".to_owned()], ..Layout::default() };
             let error = of_table(Path::new("t"), &table(vec![Cell::Whole(1), cell]), &other).unwrap_err().to_string();
             assert!(error.starts_with("t: row 2: `X_mm` ") && error.contains(expected), "{error}");

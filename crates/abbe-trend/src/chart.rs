@@ -1,5 +1,6 @@
 //! Control charts of the normalised deviations of a parameter from its target.
 
+use abbe_core::in_parallel;
 use serde::{Deserialize, Serialize};
 
 use crate::run_length::{cumulative_sum, individuals, limit_for, moving_range, weighted_average};
@@ -38,18 +39,19 @@ impl ChartDesign {
     /// The limits that give the run length, from the integral equations of the charts.
     pub fn limits(&self) -> ChartLimits {
         // Each solves some systems of equations: together they take as long as the slowest.
-        std::thread::scope(|scope| {
-            let range = scope.spawn(|| limit_for(self.run_length, 0.1, 11.0, moving_range));
-            let sum =
-                scope.spawn(|| limit_for(self.run_length, 0.1, 30.0, |limit| cumulative_sum(self.reference, limit)));
-            let average = limit_for(self.run_length, 0.1, 6.0, |limit| weighted_average(self.weight, limit));
-            ChartLimits {
-                individuals: limit_for(self.run_length, 0.1, 8.0, individuals),
-                moving_range: range.join().unwrap_or(f64::INFINITY),
-                average: average * (self.weight / (2.0 - self.weight)).sqrt(),
-                sum: sum.join().unwrap_or(f64::INFINITY),
-            }
-        })
+        let charts: [&(dyn Fn() -> f64 + Sync); 4] = [
+            &|| limit_for(self.run_length, 0.1, 8.0, individuals),
+            &|| limit_for(self.run_length, 0.1, 11.0, moving_range),
+            &|| limit_for(self.run_length, 0.1, 6.0, |limit| weighted_average(self.weight, limit)),
+            &|| limit_for(self.run_length, 0.1, 30.0, |limit| cumulative_sum(self.reference, limit)),
+        ];
+        let limits = in_parallel(&charts, None, |limit| limit());
+        ChartLimits {
+            individuals: limits[0],
+            moving_range: limits[1],
+            average: limits[2] * (self.weight / (2.0 - self.weight)).sqrt(),
+            sum: limits[3],
+        }
     }
 }
 

@@ -7,6 +7,8 @@ use std::time::{Duration, Instant};
 
 use abbe_core::{Error, Result};
 
+use crate::interrupt::{self, TemporaryFolder};
+
 /// The variable with the browser's program, and names that are tried without it.
 const VARIABLE: &str = "ABBE_BROWSER";
 const NAMES: [&str; 6] =
@@ -23,7 +25,7 @@ const SAID: u64 = 4000;
 /// Fails without a browser, or where it fails or takes too long.
 pub fn pdf(page: &str) -> Result<Vec<u8>> {
     let failed = |error: std::io::Error| Error::data(format!("the page cannot be printed: {error}"));
-    let folder = tempfile::tempdir().map_err(failed)?;
+    let folder = TemporaryFolder::new().map_err(failed)?;
     let [source, paper, profile, log] =
         ["page.html", "page.pdf", "profile", "log"].map(|name| folder.path().join(name));
     std::fs::File::create(&source).and_then(|mut file| file.write_all(page.as_bytes())).map_err(failed)?;
@@ -54,6 +56,10 @@ pub fn pdf(page: &str) -> Result<Vec<u8>> {
     let status = loop {
         if let Some(status) = browser.try_wait().map_err(failed)? {
             break status;
+        }
+        if interrupt::happened() {
+            let _ = browser.kill().and_then(|()| browser.wait());
+            return Err(Error::interrupted());
         }
         if began.elapsed() > LONGEST {
             let _ = browser.kill().and_then(|()| browser.wait());

@@ -2,6 +2,7 @@
 //! file that is being written is complete. No file is left half-written. A second signal ends the process at once.
 
 use std::io::{self, Write};
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -16,12 +17,49 @@ const AFTER_SIGNAL: Duration = Duration::from_millis(600);
 /// How long the work has to end by itself, and to write what is finished, when its time is over.
 pub const GRACE: Duration = Duration::from_secs(5);
 
+/// Temporary folders that are there now.
+static FOLDERS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
 /// The signal that came; 0 as long as none has.
 static SIGNAL: AtomicI32 = AtomicI32::new(0);
 static WRITING: Mutex<()> = Mutex::new(());
 
 /// Whether the command is carried out, with success or not: what is left is to say so.
 static DONE: AtomicBool = AtomicBool::new(false);
+
+/// A folder for what is needed while a command runs. It goes when it is dropped, and when a signal or a time limit ends the process.
+pub struct TemporaryFolder(tempfile::TempDir);
+
+impl TemporaryFolder {
+    /// Makes one.
+    pub fn new() -> io::Result<Self> {
+        let mut folders = FOLDERS.lock().unwrap_or_else(PoisonError::into_inner);
+        let folder = tempfile::tempdir()?;
+        folders.push(folder.path().to_owned());
+        Ok(Self(folder))
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        self.0.path()
+    }
+}
+
+impl Drop for TemporaryFolder {
+    fn drop(&mut self) {
+        FOLDERS.lock().unwrap_or_else(PoisonError::into_inner).retain(|folder| folder != self.0.path());
+    }
+}
+
+/// Removes temporary folders when the process ends before what made them. No other is made any more.
+fn clear_away() {
+    let folders = FOLDERS.lock().unwrap_or_else(PoisonError::into_inner);
+    // What still runs may write into a folder while it is removed.
+    for folder in folders.iter() {
+        let _ = (0..3).find(|_| std::fs::remove_dir_all(folder).is_ok());
+    }
+    std::mem::forget(folders);
+}
 
 /// With a limit on the size of files, writing beyond it fails with an error that can be told. Without this the process would be ended,
 /// and its temporary file would stay.
@@ -41,6 +79,7 @@ pub fn cancel_on_signal(monitor: Monitor) -> Result<()> {
         let _written = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
         // A closed output must not keep the process alive.
         let _ = writeln!(io::stderr(), "interrupted");
+        clear_away();
         abbe_plugin::expect_exit();
         std::process::exit(i32::from(status()));
     })
@@ -64,6 +103,7 @@ pub fn end_after(limit: Option<Duration>, grace: Duration, json: bool) -> Result
             true => writeln!(io::stdout(), "{}", failure::json(&error)),
             false => io::stderr().write_all(failure::text(&error).as_bytes()),
         };
+        clear_away();
         abbe_plugin::expect_exit();
         std::process::exit(1);
     };

@@ -215,7 +215,10 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             };
             Ok((text, status))
         }
-        Command::Report { results, out } => written(report::beside(&results, out, &libraries.registry(None)?)?),
+        Command::Report { results, out } => {
+            interrupt::cancel_on_signal(Monitor::default())?;
+            written(report::beside(&results, out, &libraries.registry(None)?)?)
+        }
         Command::Test(asked) => {
             let monitor = Monitor::default();
             interrupt::cancel_on_signal(monitor.clone())?;

@@ -8,17 +8,22 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 use std::rc::Rc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use abbe_controllers::{Canonical, Options, prepare};
 use abbe_core::{Error, Result};
 use abbe_files::{LARGEST_RESULT, read_text};
+
+use crate::interrupt::{self, TemporaryFolder};
 
 /// LinuxCNC's interpreter without a machine.
 const INTERPRETER: &str = "rs274";
 
 /// Time, s, without a command after which a program is taken to run in circles.
 const SILENCE: u64 = 60;
+
+/// How often the interpreter is looked at.
+const LOOK: Duration = Duration::from_millis(100);
 
 /// Most commands of a program.
 const MOST_COMMANDS: u64 = 50_000_000;
@@ -47,7 +52,7 @@ pub struct WrittenOut {
     output: BufReader<ChildStdout>,
     child: Arc<Mutex<Child>>,
     commands: Arc<AtomicU64>,
-    folder: tempfile::TempDir,
+    folder: TemporaryFolder,
     options: Options,
     origins: Rc<RefCell<Origins>>,
     text: Vec<u8>,
@@ -65,7 +70,7 @@ impl WrittenOut {
         let unreadable = |error| Error::usage(format!("the program cannot be read: {error}")).in_file(file);
         let prepared = prepare(&read_text(file, LARGEST_RESULT).map_err(unreadable)?, options)?;
         let failed = |error: std::io::Error| Error::usage(format!("a temporary file cannot be written: {error}"));
-        let folder = tempfile::tempdir().map_err(failed)?;
+        let folder = TemporaryFolder::new().map_err(failed)?;
         for (name, text) in
             [("part.ngc", &prepared.program), ("tool.tbl", &prepared.tools), ("part.var", &prepared.parameters)]
         {
@@ -113,6 +118,9 @@ impl WrittenOut {
         (self.read, self.text) = (0, Vec::new());
         let mut line = Vec::new();
         while self.text.is_empty() && !self.is_at_end {
+            if interrupt::happened() {
+                return Err(Error::interrupted());
+            }
             line.clear();
             let read = self.output.read_until(b'\n', &mut line);
             let count = read.map_err(|error| self.error(format!("`{INTERPRETER}` cannot be read: {error}"), None))?;
@@ -138,6 +146,9 @@ impl WrittenOut {
     /// Whether the interpreter came to the end of the program.
     fn end(&self) -> std::result::Result<(), Error> {
         let status = self.child.lock().ok().and_then(|mut child| child.wait().ok());
+        if interrupt::happened() {
+            return Err(Error::interrupted());
+        }
         let has_ended = self.origins.borrow().canonical.as_ref().is_some_and(Canonical::has_ended);
         if has_ended && status.is_some_and(|status| status.success()) {
             return Ok(());
@@ -191,17 +202,19 @@ impl Drop for WrittenOut {
     }
 }
 
-/// Ends an interpreter that comes to no command for a long time.
+/// Ends an interpreter that comes to no command for a long time, or when a signal asks Abbe to end: who waits for its output then goes
+/// on, and clears away its folder.
 fn watch(child: std::sync::Weak<Mutex<Child>>, commands: Arc<AtomicU64>) {
     std::thread::spawn(move || {
-        let (mut last, mut silent) = (0, 0);
+        let (mut last, mut since) = (0, Instant::now());
         loop {
-            std::thread::sleep(Duration::from_secs(1));
+            std::thread::sleep(LOOK);
             let Some(child) = child.upgrade() else { return };
             let now = commands.load(Ordering::Relaxed);
-            silent = if now == last { silent + 1 } else { 0 };
-            last = now;
-            if silent >= SILENCE {
+            if now != last {
+                (last, since) = (now, Instant::now());
+            }
+            if since.elapsed().as_secs() >= SILENCE || interrupt::happened() {
                 if let Ok(mut child) = child.lock() {
                     let _ = child.kill();
                 }

@@ -4,8 +4,8 @@ use std::f64::consts::{PI, TAU};
 use std::fmt::Write as _;
 
 use abbe_core::{
-    Context, DataRow, Dataset, EstimateSource, Findings, Quantity, Result, SettingsError, Validate, not_negative,
-    positive,
+    Context, DataRow, Dataset, EstimateSource, Findings, PathItem, Quantity, Result, SettingsError, Validate,
+    not_negative, positive,
 };
 use abbe_standards::circular::{Bidirectional, EDITION, Sample, Trace};
 use schemars::JsonSchema;
@@ -40,6 +40,9 @@ struct Circular {
     /// The column of readings, length less the nominal radius, without its unit.
     #[serde(default = "reading")]
     reading: String,
+    /// Points that a probe scanned on a ring or a sphere, instead of angles and readings.
+    #[serde(default)]
+    scanned: Option<Scanned>,
     /// Standard uncertainty of a reading. D and F have it, G and H that of a difference of two.
     #[serde(default)]
     standard_uncertainty_um: f64,
@@ -47,6 +50,39 @@ struct Circular {
     /// of `D_um` and of `F_um` as set up.
     #[serde(default)]
     limits: Limits,
+}
+
+/// Points of a circle on a ring or a sphere.
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Scanned {
+    /// The columns of the positions of two axes, without their unit: the first one at 0 deg, the second one at 90 deg.
+    plane: [String; 2],
+    /// The nominal centre of the circle in this plane.
+    centre_mm: [f64; 2],
+    /// The columns of the deflections of the probe along them, tip less probe, without their unit. Default: none, the probe is
+    /// a point of the machine, or its control has added them.
+    #[serde(default)]
+    deflections: Option<[String; 2]>,
+}
+
+impl Scanned {
+    /// Angles and readings. The tip is on the ring or the sphere: where the positions say that it is further out, the machine is
+    /// further in, so that the deviation of its path has the opposite sign.
+    fn samples(&self, data: &Dataset, radius: f64) -> Result<[Vec<f64>; 2]> {
+        let along = |axis: usize| -> Result<Vec<f64>> {
+            let mut all = finite(data, &self.plane[axis], Quantity::Length)?.to_vec();
+            if let Some(names) = &self.deflections {
+                let deflections = finite(data, &names[axis], Quantity::Length)?;
+                all.iter_mut().zip(deflections).for_each(|(own, deflection)| *own += deflection);
+            }
+            all.iter_mut().for_each(|own| *own -= self.centre_mm[axis]);
+            Ok(all)
+        };
+        let (one, other) = (along(0)?, along(1)?);
+        let angles = one.iter().zip(&other).map(|(x, y)| y.atan2(*x)).collect();
+        Ok([angles, one.iter().zip(&other).map(|(x, y)| radius - x.hypot(*y)).collect()])
+    }
 }
 
 fn angle() -> String {
@@ -74,6 +110,12 @@ const KEYS: [Key; 7] = [
 fn build(settings: Circular, _: &Context) -> Result<Box<dyn Validate>, SettingsError> {
     positive("radius_mm", settings.radius_mm)?;
     not_negative("standard_uncertainty_um", settings.standard_uncertainty_um)?;
+    if let Some(scanned) = &settings.scanned
+        && scanned.centre_mm.iter().any(|value| !value.is_finite())
+    {
+        let at = [PathItem::Key("scanned".to_owned())];
+        return Err(SettingsError::new("centre_mm", "finite numbers were expected").under(at));
+    }
     check_limits(&settings.limits, &names(&KEYS))?;
     Ok(Box::new(Judge(settings)))
 }
@@ -90,10 +132,19 @@ impl Circular {
         [1.0, 2.0_f64.sqrt()].map(|factor| (u > 0.0).then_some(factor * u))
     }
 
+    /// Angles and readings of all rows.
+    fn samples(&self, data: &Dataset) -> Result<[Vec<f64>; 2]> {
+        match &self.scanned {
+            Some(scanned) => scanned.samples(data, self.radius_mm),
+            None => Ok([
+                finite(data, &self.angle, Quantity::Angle)?.to_vec(),
+                finite(data, &self.reading, Quantity::Length)?.to_vec(),
+            ]),
+        }
+    }
+
     /// The trace of one direction; none without readings.
-    fn trace(&self, data: &Dataset, positive: bool) -> Result<Option<Trace>> {
-        let angles = finite(data, &self.angle, Quantity::Angle)?;
-        let readings = finite(data, &self.reading, Quantity::Length)?;
+    fn trace(&self, data: &Dataset, [angles, readings]: &[Vec<f64>; 2], positive: bool) -> Result<Option<Trace>> {
         let directions = directions(data)?;
         let rows: Vec<usize> = (0..angles.len()).filter(|row| directions[*row] == positive).collect();
         // A second circle in one direction would be mixed with the first.
@@ -107,7 +158,12 @@ impl Circular {
         }
         if let Some(row) = rows.iter().find(|row| readings[**row].abs() >= 0.1 * self.radius_mm) {
             let message = format!("the reading {} mm is no deviation from {} mm", readings[*row], self.radius_mm);
-            return Err(data.error_at(DataRow(*row), message).help("readings are lengths less the nominal radius"));
+            return Err(data.error_at(DataRow(*row), message).help(match self.scanned {
+                Some(_) => {
+                    "are `plane`, `centre_mm` and `radius_mm`, that of the way of the tip, those of this circle?"
+                }
+                None => "readings are lengths less the nominal radius",
+            }));
         }
         let sample = |row: &usize| Sample { angle: angles[*row], radius: self.radius_mm + readings[*row] };
         let samples: Vec<Sample> = rows.iter().map(sample).collect();
@@ -115,8 +171,8 @@ impl Circular {
     }
 
     /// A remark on directions that the order of angles contradicts.
-    fn turned(&self, data: &Dataset, run: &str) -> Result<Option<String>> {
-        let (angles, directions) = (finite(data, &self.angle, Quantity::Angle)?, directions(data)?);
+    fn turned(data: &Dataset, angles: &[f64], run: &str) -> Result<Option<String>> {
+        let directions = directions(data)?;
         let steps = angles.windows(2).zip(directions.windows(2)).filter(|(_, ways)| ways[0] == ways[1]);
         let turns = |pair: &[f64]| (pair[1] - pair[0] + PI).rem_euclid(TAU) - PI;
         let against = |(pair, ways): &(&[f64], &[bool])| turns(pair) != 0.0 && (turns(pair) > 0.0) != ways[0];
@@ -130,14 +186,15 @@ impl Circular {
 
     fn judge(&self, data: &Dataset, findings: &mut Findings) -> Result<()> {
         let run = run_name(data);
-        findings.remarks.extend(self.turned(data, &run)?);
-        let readings = finite(data, &self.reading, Quantity::Length)?;
+        let samples = self.samples(data)?;
+        let [angles, readings] = &samples;
+        findings.remarks.extend(Self::turned(data, angles, &run)?);
         findings.remarks.extend(doubted(&run, &[readings]));
         let faults = faults(&[(&self.reading, readings)], 1e-3 * self.standard_uncertainty_um, (1e3, "um"));
         findings.remarks.extend(faults.iter().map(|fault| format!("{run}: {fault}")));
         let um: Vec<f64> = readings.iter().map(|value| 1e3 * value).collect();
         findings.remarks.extend(too_quiet(&run, &um, self.standard_uncertainty_um, "um"));
-        let traces = [self.trace(data, true)?, self.trace(data, false)?];
+        let traces = [self.trace(data, &samples, true)?, self.trace(data, &samples, false)?];
         let both = traces[0].as_ref().zip(traces[1].as_ref()).and_then(|(one, other)| Bidirectional::of(one, other));
         let mut sheet = Sheet::new(&run, &self.limits);
         for (trace, way) in traces.iter().zip([true, false]) {

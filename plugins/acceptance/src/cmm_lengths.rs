@@ -6,7 +6,9 @@ use abbe_core::{
     Context, DataRow, Dataset, Decision, Error, EstimateSource, Figure, Findings, Limit, PathItem, Quantity, Result,
     Rule, SettingsError, Validate, not_negative, positive, rule_or_name, schema_of_rules,
 };
-use abbe_standards::lengths::{EDITION, Judged, LENGTHS, LINES, Measured, Permissible, Set, VALUES, judge, sets};
+use abbe_standards::lengths::{
+    EDITION, Judged, LENGTHS, LINES, LINES_BESIDE, Measured, Permissible, Set, VALUES, judge, sets,
+};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -289,11 +291,12 @@ impl Lengths {
             let text = format!("{run}: {other} lengths have not {VALUES} values: they have no R_0");
             findings.remarks.push(text);
         }
-        if self.stylus_beside_mm == 0.0 && sets.len() != LINES * LENGTHS {
-            let count = sets.len();
+        let lines = if self.stylus_beside_mm == 0.0 { LINES } else { LINES_BESIDE };
+        if sets.len() != lines * LENGTHS {
+            let (count, beside) = (sets.len(), self.stylus_beside_mm);
             findings
                 .remarks
-                .push(format!("{run}: {count} lengths; the test of E_0 has {LENGTHS} on each of {LINES} lines"));
+                .push(format!("{run}: {count} lengths; the test of E_{beside} has {LENGTHS} on each of {lines} lines"));
         }
     }
 }

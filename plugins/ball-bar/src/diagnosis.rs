@@ -7,6 +7,7 @@ use abbe_core::{
     Context, DataRow, Dataset, Error, Figure, Findings, Fit, Limit, ObservationSet, Owner, PathItem, Problem, Result,
     SetIndex, SettingsError, Unknown, Validate, positive,
 };
+use abbe_standards::circular::EDITION;
 use nalgebra::{DMatrix, DVector};
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -69,6 +70,10 @@ impl Validate for Diagnosis {
         for fit in fits {
             self.judge(fit, fits.len() > 1, &mut findings)?;
         }
+        findings.remarks.push(format!(
+            "G(b) is that of {EDITION} (its text was not at hand), about the least squares circle. A choice of this project: the parts that \
+             errors have in it"
+        ));
         Ok(findings)
     }
 }

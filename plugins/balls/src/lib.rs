@@ -387,7 +387,8 @@ impl Artefact for Balls {
         for distance in &self.settings.distances {
             let find = |label: &Label| {
                 balls.iter().position(|ball| ball.label == label.0).ok_or_else(|| {
-                    Error::data(format!("`distances` names ball {}, which was not touched", label.0))
+                    let what = "which was not touched, or has no nominal centre";
+                    Error::data(format!("`distances` names ball {}, {what}", label.0))
                         .setting("distances")
                         .suggest(&label.0, balls.iter().map(|ball| ball.label.as_str()))
                 })

@@ -21,7 +21,7 @@ pub fn page(draft: &Draft, calibration: &Calibration, certified: &[&Estimated]) 
     let missing = draft.missing();
     let number = draft.identifier.as_deref().map_or_else(gap, escaped);
     let mut html = String::new();
-    let title = if missing.is_empty() { "Calibration certificate" } else { "DRAFT of a calibration certificate" };
+    let title = title(&missing);
     let _ = write!(
         html,
         "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\n<title>{title} {}</title>\n<style>\n{STYLE}</style></head>\n\
@@ -29,15 +29,21 @@ pub fn page(draft: &Draft, calibration: &Calibration, certified: &[&Estimated]) 
         draft.identifier.as_deref().map_or_else(String::new, escaped),
         if missing.is_empty() { "" } else { " class=\"draft\"" }
     );
-    html.push_str(&head(draft, &number, &missing));
+    html.push_str(&head(draft, &number, title, &missing));
     html.push_str(&item(draft));
     html.push_str(&measurement(draft));
     html.push_str(&results(draft, calibration, certified)?);
     html.push_str(&conformity(&conformity::statements(&draft.filled(), certified)?));
     html.push_str(&remarks(draft, calibration));
     html.push_str(&signature(draft));
-    let _ = write!(html, "<p class=\"end\">End of certificate {number}</p>\n</body></html>\n");
+    let what = if missing.is_empty() { "certificate" } else { "draft" };
+    let _ = write!(html, "<p class=\"end\">End of {what} {number}</p>\n</body></html>\n");
     Ok(html)
+}
+
+/// What the page is: nothing that lacks an element is called a certificate.
+fn title(missing: &[String]) -> &'static str {
+    if missing.is_empty() { "Calibration certificate" } else { "Draft of a calibration certificate" }
 }
 
 /// A text as HTML has it.
@@ -81,8 +87,8 @@ fn address(contact: Option<&Contact>) -> String {
 }
 
 /// Title, what is missing, and who it is from and for.
-fn head(draft: &Draft, number: &str, missing: &[String]) -> String {
-    let mut html = String::from("<h1>Calibration certificate</h1>\n");
+fn head(draft: &Draft, number: &str, title: &str, missing: &[String]) -> String {
+    let mut html = format!("<h1>{title}</h1>\n");
     if !missing.is_empty() {
         let items = missing.iter().map(|what| escaped(what).replace('`', ""));
         let _ = write!(

@@ -288,7 +288,12 @@ fn read_page(settings: &Value) -> String {
 /// Every element that ISO/IEC 17025 asks for: without it the page is a draft that names it; with all it is none.
 #[test]
 fn a_page_is_a_draft_until_all_is_there() {
+    // Title and heading say what the page is.
+    let called = |page: &str, title: &str| {
+        page.contains(&format!("<title>{title} ")) && page.contains(&format!("<h1>{title}</h1>"))
+    };
     let page = read_page(&complete());
+    assert!(called(&page, "Calibration certificate") && page.contains("End of certificate"), "{page}");
     assert!(
         !page.contains("DRAFT: ") && !page.contains("class=\"gap\"") && !page.contains("class=\"draft\""),
         "{page}"
@@ -320,6 +325,9 @@ fn a_page_is_a_draft_until_all_is_there() {
             page.split("class=\"banner\"").nth(1).and_then(|rest| rest.split("</div>").next()).expect("a banner");
         assert!(banner.contains(words), "{key}: {banner}");
         assert_eq!(banner.matches("<li>").count(), 1, "{key}: {banner}");
+        let title = "Draft of a calibration certificate";
+        assert!(called(&page, title) && !page.contains("<h1>Calibration"), "{key}");
+        assert!(page.contains("End of draft") && !page.contains("End of certificate"), "{key}");
     }
     let nothing = read_page(&json!({}));
     assert!(nothing.matches("<li>").count() >= 12, "{nothing}");

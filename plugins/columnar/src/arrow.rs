@@ -152,10 +152,9 @@ mod tests {
         assert_eq!(values.strong_count(), holders + 1);
         drop(batch);
         let text = Cell::Text("a".into());
-        assert_eq!([rows.cells[0].cell(0), rows.cells[0].cell(1), rows.cells[1].cell(1)], [
-            text,
-            Cell::Missing,
-            Cell::Number(2.5)
-        ]);
+        assert_eq!(
+            [rows.cells[0].cell(0), rows.cells[0].cell(1), rows.cells[1].cell(1)],
+            [text, Cell::Missing, Cell::Number(2.5)]
+        );
     }
 }

@@ -12,7 +12,7 @@ use abbe_core::{
     Axis, AxisKind, Calibration, CommandCorrection, Context, Error, ErrorFunction, Export, ExportedFile, InputFile,
     KinematicModel, PathItem, Result, SettingsError,
 };
-use abbe_volumetric::{Ranges, Steps, check_axes, position_unit, within};
+use abbe_volumetric::{Ranges, Steps, check_axes, position_unit, range_of, within};
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer};
 use serde_json::{Value, json};
@@ -52,6 +52,18 @@ struct Settings {
     /// Files by axis, of the same `type`, that were active when the machine was measured: the new trims are added at their points.
     #[serde(default)]
     existing: BTreeMap<String, String>,
+    /// Largest trim of a linear axis that is believed.
+    #[serde(default = "one")]
+    #[schemars(range(min = 0))]
+    largest_mm: f64,
+    /// Largest trim of a rotary axis that is believed.
+    #[serde(default = "one")]
+    #[schemars(range(min = 0))]
+    largest_deg: f64,
+}
+
+fn one() -> f64 {
+    1.0
 }
 
 /// What the columns of the file are.
@@ -239,9 +251,7 @@ impl LinuxCnc {
             let axis = &model.info().axes[index];
             let factor = position_unit(axis).1;
             let (positions, before) = match self.existing.get(&axis.name) {
-                Some(path) => {
-                    existing(path, self.settings.kind).map_err(|error| within(error, &["existing", &axis.name]))?
-                }
+                Some(path) => self.existing(path, axis).map_err(|error| within(error, &["existing", &axis.name]))?,
                 None => {
                     let points = points(axis, &self.settings.ranges, self.settings.steps(), MOST)?;
                     let zero = vec![0.0; points.len()];
@@ -262,9 +272,53 @@ impl LinuxCnc {
                 positions.iter().zip(before).map(trim).collect()
             };
             let after = [after(1.0, &before[0])?, after(-1.0, &before[1])?];
+            let (setting, most) = self.largest(axis);
+            if let Some(trim) = after.iter().flatten().find(|trim| trim.abs() > most) {
+                let unit = position_unit(axis).0;
+                let message = format!("a trim of {trim} {unit} of {}, more than {most} {unit}", axis.name);
+                return Err(Error::data(message).help("are the errors right? or allow more").setting(setting));
+            }
             Ok(Trims { axis: index, positions, before, after })
         };
         axes.iter().map(|&index| of_axis(index)).collect()
+    }
+
+    /// The largest trim of an axis that is believed, with its setting.
+    fn largest(&self, axis: &Axis) -> (&'static str, f64) {
+        match axis.kind {
+            AxisKind::Linear => ("largest_mm", self.settings.largest_mm),
+            AxisKind::Rotary => ("largest_deg", self.settings.largest_deg),
+        }
+    }
+
+    /// Positions of a file, with its trims.
+    ///
+    /// Fails for trims that are not believed, and for positions on less than half of the axis: another `type`, or another unit.
+    fn existing(&self, path: &Path, axis: &Axis) -> Result<(Vec<f64>, [Vec<f64>; 2])> {
+        let kind = self.settings.kind;
+        let rows = screw_file::read(path, MOST)?;
+        let unit = position_unit(axis).0;
+        let (setting, largest) = self.largest(axis);
+        for (index, row) in rows.iter().enumerate() {
+            if let Some(trim) =
+                row[1..].iter().map(|written| kind.trim(row[0], *written)).find(|trim| trim.abs() > largest)
+            {
+                let message =
+                    format!("a trim of {trim} {unit}, more than {largest} {unit}, of a file of type {}", kind as u8);
+                let help = format!("is `type` that of the file? or allow more: `{setting}`");
+                return Err(Error::data(message).at(path, index + 1, None).help(help));
+            }
+        }
+        let covered = rows[rows.len() - 1][0] - rows[0][0];
+        if let Ok((from, to)) = range_of(axis, &self.settings.ranges, RANGES)
+            && covered < 0.5 * (to - from)
+        {
+            let message = format!("it covers {covered} {unit} of {} {unit}", to - from);
+            let help = format!("positions are in {unit}; `ranges` says what part of the axis is used");
+            return Err(Error::data(message).in_file(path).help(help));
+        }
+        let trims = |column: usize| rows.iter().map(|row| kind.trim(row[0], row[column])).collect();
+        Ok((rows.iter().map(|row| row[0]).collect(), [trims(1), trims(2)]))
     }
 
     /// Refuses what no measurement determines, along the axes that are written and in both directions of travel.
@@ -313,13 +367,6 @@ impl LinuxCnc {
         }
         Ok(axes)
     }
-}
-
-/// Positions of a file, with its trims.
-fn existing(path: &Path, kind: FileType) -> Result<(Vec<f64>, [Vec<f64>; 2])> {
-    let rows = screw_file::read(path, MOST)?;
-    let trims = |column: usize| rows.iter().map(|row| kind.trim(row[0], row[column])).collect();
-    Ok((rows.iter().map(|row| row[0]).collect(), [trims(1), trims(2)]))
 }
 
 #[cfg(test)]

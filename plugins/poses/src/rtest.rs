@@ -159,9 +159,13 @@ impl Artefact for RTest {
         Ok(Arc::new(Observed { info, balls, ball_of_row, readings, of_tool }))
     }
 
-    /// The poses are the programme: the linear axes follow a ball that rotary axes move.
+    /// The balls: the linear axes bring the tip to their centres, wherever rotary axes move them.
     fn targets(&self, _: f64) -> Result<Vec<Target>> {
-        Ok(Vec::new())
+        let table = abbe_table::read(&self.nominal)?;
+        let labels = abbe_table::labels(&table, "feature")?;
+        let centres = abbe_table::points(&table, ["x", "y", "z"])?;
+        let ball = |(label, tip): (&String, [f64; 3])| Target { feature: label.clone(), tip, approach: None };
+        Ok(labels.iter().zip(centres).map(ball).collect())
     }
 }
 

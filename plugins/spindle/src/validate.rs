@@ -249,7 +249,7 @@ impl Spindle {
     /// What the figures mean, in one sentence.
     fn definitions(&self, motion: &Motion) -> String {
         format!(
-            "in the manner of ISO 230-7, whose text was not at hand: synchronous = harmonics to {} at {} angles, from the {}; \
+            "in the manner of ISO 230-7:2015, whose text was not at hand: synchronous = harmonics to {} at {} angles, from the {}; \
              asynchronous = largest range within one of {} sectors; fundamental axial = {}; total (a definition of this project) = \
              range of all readings about the least squares circle of the synchronous part, axial ones with their fundamental",
             motion.harmonics,

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use abbe_core::{
     Context, Dataset, Error, EstimateSource, Figure, Findings, Fit, Limit, PathItem, Result, SettingsError, Validate,
 };
+use abbe_standards::thermal_drift::EDITION;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -89,6 +90,11 @@ impl Validate for Thermal {
             if let Some(drift) = &self.settings.drift {
                 drift.judge(run, &run_name(run), &mut findings)?;
             }
+        }
+        if self.settings.drift.is_some() {
+            findings.remarks.push(format!(
+                "{EDITION} (its text was not at hand). A choice of this project: the time to a part of the drift, after DIN 8602"
+            ));
         }
         self.settings.references.iter().try_for_each(|(name, reference)| reference.judge(name, data, &mut findings))?;
         Ok(findings)

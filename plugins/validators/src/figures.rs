@@ -98,6 +98,13 @@ pub fn relative_uncertainty(degrees_of_freedom: f64) -> f64 {
     (2.0 * degrees_of_freedom).sqrt().recip()
 }
 
+/// Standard uncertainty of a standard deviation, or of a standard uncertainty, with this relative one. With a limit it is that of one
+/// which is at least as large as the limit: what came out small by chance has an uncertainty that is too small in proportion, and
+/// a rule with a guard band would accept far more than it says.
+pub fn uncertainty_of_scatter(scatter: f64, relative: f64, limit: Option<Limit>) -> f64 {
+    relative * limit.map_or(scatter, |limit| scatter.max(limit.value))
+}
+
 /// A sample of numbers. A statistic that needs more numbers than there are is NaN.
 #[derive(Debug, Clone, Default)]
 pub struct Sample(pub Vec<f64>);

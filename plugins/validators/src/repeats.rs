@@ -14,7 +14,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::figures::{Limits, ONE, Sample, ascii, check_finite, relative_uncertainty, suffix};
+use crate::figures::{Limits, ONE, Sample, ascii, check_finite, relative_uncertainty, suffix, uncertainty_of_scatter};
 use crate::folds::report;
 
 abbe_core::register!(
@@ -149,7 +149,8 @@ impl Repeats {
             let deviation = sample.standard_deviation();
             let figure = |name: &str, value| Figure::new(&fit.name, format!("{name}[{}]", unknown.name), value, &unit);
             let limit = self.settings.limits.get(&format!("{LIMITED}{}", suffix(&symbol))).copied();
-            let uncertainty = deviation * relative_uncertainty(values.len() as f64 - 1.0);
+            let relative = relative_uncertainty(values.len() as f64 - 1.0);
+            let uncertainty = uncertainty_of_scatter(deviation, relative, limit);
             findings.figures.extend([
                 figure("mean", sample.mean()),
                 figure("standard deviation", deviation).uncertain(uncertainty).limited(limit),
@@ -237,6 +238,12 @@ mod tests {
         let uncertain: Vec<_> = found.figures.iter().filter_map(|figure| figure.standard_uncertainty).collect();
         assert_eq!(uncertain.len(), 1);
         assert!((uncertain[0] - 7.0_f64.sqrt() / 2.0).abs() < 1e-6, "{uncertain:?}");
+        // Below a limit it is that of a scatter as large as the limit.
+        let settings =
+            json!({ "by": "group", "parameters": ["table.facet[a].d"], "limits": { "standard_deviation_um": 4 } });
+        let found = judge("repeats", folder.path(), &settings, &fit).unwrap();
+        let uncertain: Vec<_> = found.figures.iter().filter_map(|figure| figure.standard_uncertainty).collect();
+        assert!((uncertain[0] - 4.0 / 2.0).abs() < 1e-6, "{uncertain:?}");
     }
 
     #[test]

@@ -13,7 +13,7 @@ use serde::de::{Error as _, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use serde_json::{Value, json};
 
-use crate::figures::{ONE, Sample, UM, ascii, relative_uncertainty, suffix};
+use crate::figures::{ONE, Sample, UM, ascii, relative_uncertainty, suffix, uncertainty_of_scatter};
 
 abbe_core::register!(
     Validate,
@@ -263,7 +263,7 @@ impl Uncertainty {
                 Measure::Standard => parameter.standard_uncertainty,
                 Measure::Expanded => self.expanded(fit, parameter),
             } * to_people;
-            let uncertainty = relative_to(fit, parameter).map(|relative| relative * value);
+            let uncertainty = relative_to(fit, parameter).map(|own| uncertainty_of_scatter(value, own, Some(limit)));
             let detail = figure(fit, measure, &parameter.name, value, &ascii(&symbol));
             details.push(detail.uncertain(uncertainty).limited(limit));
             if confounded {

@@ -26,6 +26,8 @@ pub struct Canonical {
     /// The feed as it is printed, until a block has it.
     feed: Option<String>,
     per_turn: bool,
+    /// How far the path may be from the blocks (`G64 P`), as it is printed.
+    rounding: String,
     /// Mist and flood.
     coolant: [bool; 2],
     ends_with_shuttle: bool,
@@ -56,6 +58,7 @@ impl Canonical {
             plane: [0, 1],
             feed: None,
             per_turn: false,
+            rounding: String::new(),
             coolant: [false; 2],
             ends_with_shuttle: false,
             has_ended: false,
@@ -174,16 +177,30 @@ impl Canonical {
             "SET_MOTION_CONTROL_MODE" => match arguments {
                 ["CANON_EXACT_PATH"] => one("G61".to_owned()),
                 ["CANON_EXACT_STOP"] => one("G61.1".to_owned()),
-                ["CANON_CONTINUOUS", tolerance] if tolerance.parse::<f64>().is_ok_and(|tolerance| tolerance > 0.0) => {
-                    one(format!("G64 P{tolerance}"))
+                ["CANON_CONTINUOUS", tolerance] => {
+                    self.rounding = (*tolerance).to_owned();
+                    one(self.continuous())
                 }
-                _ => one("G64".to_owned()),
+                _ => Err(format!("the path mode {}", arguments.join(" "))),
             },
-            "COMMENT" | "MESSAGE" | "ON_RESET" | "SET_FEED_REFERENCE" | "START_CHANGE" | "SET_NAIVECAM_TOLERANCE" => {
-                none()
-            }
+            "SET_NAIVECAM_TOLERANCE" => Ok(self.joined(arguments, &numbers()?).into_iter().collect()),
+            "COMMENT" | "MESSAGE" | "ON_RESET" | "SET_FEED_REFERENCE" | "START_CHANGE" => none(),
             _ => self.auxiliary(name, arguments),
         }
+    }
+
+    fn continuous(&self) -> String {
+        match self.rounding.parse::<f64>() {
+            Ok(rounding) if rounding > 0.0 => format!("G64 P{}", self.rounding),
+            _ => "G64".to_owned(),
+        }
+    }
+
+    /// How far blocks that are joined to one may be from it (`G64 Q`), where that is another distance than P.
+    fn joined(&self, printed: &[&str], numbers: &[f64]) -> Option<String> {
+        let rounding: f64 = self.rounding.parse().ok()?;
+        let (printed, joined) = printed.first().zip(numbers.first())?;
+        ((joined - rounding).abs() > DIGIT).then(|| format!("{} Q{printed}", self.continuous()))
     }
 
     /// Spindle and coolant.
@@ -418,6 +435,25 @@ mod tests {
             ],
         );
         assert_eq!(text.as_deref(), Ok("G10 L2 P2 X12.5\nG55\nT4\nM6\nG43 H4\nG49\nG20\nM8\nM7\nM9 M7\n"));
+    }
+
+    /// What LinuxCNC 2.9 prints of `G64 P0.05 Q0.02`, `G64`, `G64 P0.1`, `G61`.
+    #[test]
+    fn path_modes_are_written() {
+        let text = written(
+            &options(),
+            &[
+                "SET_MOTION_CONTROL_MODE(CANON_CONTINUOUS, 0.050000)",
+                "SET_NAIVECAM_TOLERANCE(0.0200)",
+                "SET_MOTION_CONTROL_MODE(CANON_CONTINUOUS, 0.000000)",
+                "SET_NAIVECAM_TOLERANCE(0.0000)",
+                "SET_MOTION_CONTROL_MODE(CANON_CONTINUOUS, 0.100000)",
+                "SET_NAIVECAM_TOLERANCE(0.1000)",
+                "SET_MOTION_CONTROL_MODE(CANON_EXACT_PATH)",
+            ],
+        );
+        let expected = "G64 P0.050000\nG64 P0.050000 Q0.0200\nG64\nG64 P0.100000\nG61\n";
+        assert_eq!(text.as_deref(), Ok(expected));
     }
 
     #[test]

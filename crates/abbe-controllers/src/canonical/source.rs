@@ -131,15 +131,18 @@ impl Scan {
                 b']' => depth = depth.saturating_sub(1),
                 b'#' => parameter(&plain[at..], column)?,
                 b'<' => at += plain[at..].iter().position(|(_, byte)| *byte == b'>').map_or(0, |length| length + 1),
-                b'A'..=b'Z' if depth == 0 && !is_flow => self.word(byte, &plain[at..], column)?,
+                b'A'..=b'Z' if depth == 0 && !is_flow => self.word(byte, plain, at)?,
                 _ => {}
             }
         }
         Ok(())
     }
 
-    fn word(&mut self, letter: u8, rest: &[(usize, u8)], column: usize) -> std::result::Result<(), Refusal> {
-        let digits = rest.iter().map(|(_, byte)| *byte).take_while(|byte| byte.is_ascii_digit() || *byte == b'.');
+    /// A word of a block; what follows its letter begins at `after`.
+    fn word(&mut self, letter: u8, plain: &[(usize, u8)], after: usize) -> std::result::Result<(), Refusal> {
+        let column = plain[after - 1].0;
+        let digits =
+            plain[after..].iter().map(|(_, byte)| *byte).take_while(|byte| byte.is_ascii_digit() || *byte == b'.');
         let number: String = digits.map(char::from).collect();
         let value = number.parse::<f64>().ok();
         let word = format!("{}{number}", char::from(letter));
@@ -160,9 +163,7 @@ impl Scan {
                 410 | 420 => refused("cutter compensation with a radius that no tool table here has"),
                 530 => refused("a block in machine coordinates, which is never corrected"),
                 920 | 923 => refused("an origin where the axes stand, and they stand at corrected positions"),
-                100 if has_word(rest, &[b"L1", b"L10", b"L11", b"L20"]) => {
-                    refused("a change of what the control keeps")
-                }
+                100 if !is_offset(plain) => refused("a change of what the control keeps"),
                 _ => Ok(()),
             },
             (b'M', Some(66.0)) => refused("an input of the control"),
@@ -177,15 +178,22 @@ impl Scan {
     }
 }
 
-/// Whether one of these words with whole numbers follows.
-fn has_word(rest: &[(usize, u8)], words: &[&[u8]]) -> bool {
-    let rest: Vec<u8> = rest.iter().map(|(_, byte)| *byte).collect();
-    words.iter().any(|word| {
-        rest.windows(word.len()).enumerate().any(|(at, part)| {
-            let next = rest.get(at + word.len());
-            part == *word && !next.is_some_and(u8::is_ascii_digit)
-        })
-    })
+/// Whether the block sets a work offset to numbers: its only L is 2, and not computed.
+fn is_offset(plain: &[(usize, u8)]) -> bool {
+    let (mut depth, mut found) = (0_usize, Vec::new());
+    for (at, (_, byte)) in plain.iter().enumerate() {
+        match byte {
+            b'[' | b'<' => depth += 1,
+            b']' | b'>' => depth = depth.saturating_sub(1),
+            b'L' if depth == 0 => {
+                let number = plain[at + 1..].iter().map(|(_, byte)| char::from(*byte));
+                let number: String = number.take_while(|byte| byte.is_ascii_digit() || *byte == '.').collect();
+                found.push(number.parse::<f64>().ok());
+            }
+            _ => {}
+        }
+    }
+    found == [Some(2.0)]
 }
 
 /// Refuses parameters that a running control gives their values.
@@ -266,6 +274,9 @@ mod tests {
             ("G92 X0", 1, "G92"),
             ("G41 D2", 1, "G41"),
             ("G10 L20 P1 X0", 1, "G10"),
+            ("L20 G10 P1 X0", 5, "G10"),
+            ("G10 L[10*2] P1 X0", 1, "G10"),
+            ("G10 L#3 P1 X0", 1, "G10"),
             ("G[#1]", 1, "G"),
             ("M66 P1", 1, "M66"),
             ("M101", 1, "M101"),

@@ -10,7 +10,7 @@ mod tool;
 mod words;
 mod write;
 
-use crate::block::{Action, Reader};
+use crate::block::{Action, Reader, named};
 use crate::geometry::place;
 use crate::lexer::{Line, Sense, Word};
 use crate::machine::Space;
@@ -45,6 +45,7 @@ struct Effects {
     other_datum: Option<Word>,
     tip_off: Option<Word>,
     change: Option<Word>,
+    ends_shorter_way: bool,
 }
 
 impl Program {
@@ -155,7 +156,7 @@ impl Program {
             }
             Some(_) if effects.machine.is_some() || effects.other_datum.is_some() => {
                 machine_block(statement, &line, &effects, reader)?;
-                reader.jump(None, true)
+                reader.jump(None, true, named(&line))
             }
             Some(_) => self.moved(statement, line, effects.late, reader)?,
             None if matches!(statement, Statement::Arc | Statement::RadiusArc) => {
@@ -167,10 +168,11 @@ impl Program {
             }
             None if effects.change.is_some() && !reader.options.stays_at_tool_change => {
                 reader.modal.at = [None; 9];
-                reader.jump(None, false)
+                reader.jump(None, false, [true; 9])
             }
             None => Action::Copy(None),
         };
+        reader.modal.takes_shorter_way &= !effects.ends_shorter_way;
         if let Some(word) = effects.tip_off {
             self.tip(false, false, &word, reader)?;
         }
@@ -193,6 +195,8 @@ impl Program {
             }
             match effect {
                 Effect::Keep => {}
+                Effect::ShorterWay(true) => reader.modal.takes_shorter_way = true,
+                Effect::ShorterWay(false) => found.ends_shorter_way = true,
                 Effect::End => self.has_ended = true,
                 Effect::ToolChange => found.change = Some(word.clone()),
                 Effect::Machine => found.machine = Some(word.clone()),

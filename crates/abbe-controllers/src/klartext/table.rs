@@ -31,12 +31,14 @@ pub(super) enum Effect {
     ToolChange,
     Machine,
     OtherDatum,
+    /// Rotary axes take the shorter way, from here or until here.
+    ShorterWay(bool),
     TipOn,
     TipOff,
     Refuse(&'static str, &'static str),
 }
 
-use Effect::{Machine, OtherDatum, TipOff, TipOn, ToolChange};
+use Effect::{Machine, OtherDatum, ShorterWay, TipOff, TipOn, ToolChange};
 use Statement::{Keep, Refuse};
 
 const CYCLE: Statement = Refuse("a cycle, whose moves are not known", "write out its moves");
@@ -152,8 +154,8 @@ const AUXILIARY: &[(u32, bool, Effect)] = &[
     (118, false, Effect::Refuse("the path is changed by hand", "leave it out")),
     (120, false, Effect::Refuse("it changes the path of the tool", "let the CAM system write the path of the tool")),
     (124, false, Effect::Refuse("it leaves out points of the path", "leave it out")),
-    (126, false, Effect::Keep),
-    (127, true, Effect::Keep),
+    (126, false, ShorterWay(true)),
+    (127, true, ShorterWay(false)),
     (128, false, TipOn),
     (129, true, TipOff),
     (130, false, Effect::Refuse("a position in coordinates that are not tilted", "write it as another position")),
@@ -225,7 +227,7 @@ pub(crate) fn table() -> String {
     }
     for (number, is_late, effect) in AUXILIARY {
         let said = match effect {
-            Effect::Keep => "kept as it is",
+            Effect::Keep | ShorterWay(_) => "kept as it is",
             Machine | OtherDatum => "kept as it is; the position is followed",
             Effect::Refuse(..) => "refused",
             _ => "followed",

@@ -61,7 +61,7 @@ impl Program {
             return Ok(Action::Copy(None));
         }
         reader.modal.at = [None; 9];
-        Ok(reader.jump(None, false))
+        Ok(reader.jump(None, false, [true; 9]))
     }
 }
 

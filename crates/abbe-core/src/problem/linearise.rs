@@ -64,44 +64,57 @@ impl Problem {
     pub fn linearise(&self, x: &[f64], mut sink: impl FnMut(Block<'_>)) -> Result<()> {
         let at = self.with_values(x);
         let columns = Columns::of(self);
-        let chunks =
-            || SetIndex::enumerate(&at.sets).flat_map(|(set, of)| of.rows.chunks(CHUNK).map(move |rows| (set, rows)));
+        let chunks: Vec<(SetIndex, &[RowIndex])> = SetIndex::enumerate(&at.sets)
+            .flat_map(|(set, of)| of.rows.chunks(CHUNK).map(move |rows| (set, rows)))
+            .collect();
         let mut first = EquationIndex(0);
         let mut take = |linear: &Linearised| {
             sink(Block { first, residuals: &linear.residuals, jacobian: &linear.jacobian });
             first += linear.residuals.len();
         };
         let threads = self.threads(self.unknowns.len());
-        if threads == 1 {
-            let (mut work, mut linear) = (Evaluation::default(), Linearised::default());
-            for (set, rows) in chunks() {
-                at.linearise_rows(set, rows, &columns, &mut work, &mut linear)?;
-                take(&linear);
-            }
+        if threads > 1 && at.linearise_on(threads, &columns, &chunks, &mut take)? {
             return Ok(());
         }
-        let chunks: Vec<(SetIndex, &[RowIndex])> = chunks().collect();
+        let (mut work, mut linear) = (Evaluation::default(), Linearised::default());
+        for (set, rows) in chunks {
+            at.linearise_rows(set, rows, &columns, &mut work, &mut linear)?;
+            take(&linear);
+        }
+        Ok(())
+    }
+
+    /// Evaluates chunks on threads, and takes the results in their order. False, and nothing taken, where the system gives no threads.
+    fn linearise_on(
+        &self,
+        threads: usize,
+        columns: &Columns,
+        chunks: &[(SetIndex, &[RowIndex])],
+        take: &mut dyn FnMut(&Linearised),
+    ) -> Result<bool> {
         std::thread::scope(|scope| {
-            let (at, columns, chunks) = (&at, &columns, &chunks);
             // Thread k evaluates the chunks k, k + threads, and so on. The results are taken from the threads in turn.
-            let from = (0..threads).map(|first| {
+            let mut from = Vec::with_capacity(threads);
+            for first in 0..threads {
                 let (send, receive) = sync_channel::<Result<Linearised>>(AHEAD);
                 let (give_back, used) = channel::<Linearised>();
-                scope.spawn(move || {
+                let evaluate = move || {
                     let mut work = Evaluation::default();
                     for &(set, rows) in chunks.iter().skip(first).step_by(threads) {
                         let mut linear = used.try_recv().unwrap_or_default();
-                        let done = at.linearise_rows(set, rows, columns, &mut work, &mut linear).map(|()| linear);
+                        let done = self.linearise_rows(set, rows, columns, &mut work, &mut linear).map(|()| linear);
                         let failed = done.is_err();
-                        // After an error nothing more is received.
+                        // After an error, or without all threads, nothing more is received.
                         if send.send(done).is_err() || failed {
                             return;
                         }
                     }
-                });
-                (receive, give_back)
-            });
-            let from: Vec<_> = from.collect();
+                };
+                if std::thread::Builder::new().spawn_scoped(scope, evaluate).is_err() {
+                    return Ok(false);
+                }
+                from.push((receive, give_back));
+            }
             for (receive, give_back) in from.iter().cycle() {
                 // The first thread without a result would have had the next chunk: all chunks are done.
                 let Ok(linear) = receive.recv() else { break };
@@ -110,7 +123,7 @@ impl Problem {
                 // The thread may have ended; this is no error.
                 let _ = give_back.send(linear);
             }
-            Ok(())
+            Ok(true)
         })
     }
 

@@ -91,6 +91,31 @@ fn nothing_stored_can_change() {
     assert_eq!(history.entry(1).unwrap(), Some(entry(1)));
 }
 
+/// A disk that turns a digit, or another program: the hash of the entry tells it.
+#[test]
+fn an_entry_that_was_changed_is_told() {
+    for statement in [
+        "UPDATE entry SET recipe = 'other'",
+        "UPDATE calibration SET machine = 'other'",
+        "UPDATE calibration SET content = replace(content, '0', '1')",
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("history.sqlite");
+        let mut history = History::open(&path).unwrap();
+        assert_eq!(history.add(&entry(1)).unwrap(), Added::New(1));
+        history.verify([1]).unwrap();
+        let raw = connection(&history);
+        let mut asked = raw.prepare("SELECT name FROM sqlite_master WHERE type = 'trigger'").unwrap();
+        let triggers: Vec<String> = asked.query_map([], |row| row.get(0)).unwrap().map(Result::unwrap).collect();
+        triggers.iter().for_each(|name| raw.execute_batch(&format!("DROP TRIGGER {name}")).unwrap());
+        assert!(raw.execute(statement, []).unwrap() > 0, "{statement}");
+        drop(asked);
+        for told in [history.entry(1).err(), history.verify([1]).err(), history.add(&entry(1)).err()] {
+            assert!(told.unwrap().message.contains("entry 1"), "{statement}");
+        }
+    }
+}
+
 #[test]
 fn an_older_version_is_migrated_and_a_later_one_refused() {
     let folder = tempfile::tempdir().unwrap();

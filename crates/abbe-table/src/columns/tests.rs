@@ -17,11 +17,8 @@ fn text(text: &'static str) -> Cell<'static> {
 fn read(columns: &[(Field, Vec<Cell<'static>>)], layout: &Layout) -> Result<(Dataset, usize)> {
     let fields: Vec<Field> = columns.iter().map(|(field, _)| field.clone()).collect();
     let named = NamedColumns::new(Path::new("t.parquet"), &fields, layout)?;
-    let cells: Vec<Box<dyn ColumnCells>> = named
-        .fields()
-        .into_iter()
-        .map(|field| Box::new(columns[field].1.clone()) as Box<dyn ColumnCells>)
-        .collect();
+    let cells: Vec<Box<dyn ColumnCells>> =
+        named.fields().into_iter().map(|field| Box::new(columns[field].1.clone()) as Box<dyn ColumnCells>).collect();
     let rows = columns.first().map_or(0, |(_, cells)| cells.len());
     let mut data = DataOfColumns::new(named, layout, 1 << 20);
     let cells: Vec<&dyn ColumnCells> = cells.iter().map(|cells| &**cells).collect();

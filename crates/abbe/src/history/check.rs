@@ -1,5 +1,6 @@
 //! `abbe history check`: what the tests of one machine tell.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use abbe_core::{Calibration, Error, Limit, Registry, Result};
@@ -118,11 +119,17 @@ impl Check {
     }
 }
 
+/// Newest calibrations of a machine whose entries are compared with their hashes before they are judged. All entries are when they are
+/// shown or exported.
+const VERIFIED: usize = 8;
+
 impl Question {
     /// Reads the tests of the machine and judges them.
     fn answer(&self, kept: &History, registry: &dyn Fn() -> Result<Registry>) -> Result<Checked> {
         let machine = self.machine(kept)?;
         let all = kept.calibrations(&Filter { machine: Some(machine.clone()), entry: None })?;
+        let newest: BTreeSet<i64> = all.iter().rev().take(VERIFIED).map(|(entry, _)| *entry).collect();
+        kept.verify(newest)?;
         self.judge(&machine, &all, registry)
     }
 

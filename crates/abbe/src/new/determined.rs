@@ -11,6 +11,8 @@ use abbe_core::{
 use abbe_engine::{Planned, Prepared, prepare};
 use abbe_kinematics::{NamedAxis, StructuralLoop};
 
+use crate::interrupt::TemporaryFolder;
+
 use super::methods::{Choice, turns_about_two};
 use super::texts::{Errors, Recipe, machine};
 use super::{Controller, Method, poses};
@@ -44,7 +46,7 @@ const FOLDS: usize = 4;
 
 /// A folder in which recipes are tried.
 struct Trial<'a> {
-    folder: tempfile::TempDir,
+    folder: TemporaryFolder,
     registry: &'a Registry,
     /// Asked before every trial.
     monitor: &'a Monitor,
@@ -90,7 +92,8 @@ pub fn begin(
         let message = format!("a machine with {linear} linear axes cannot bring its tool to all places of an artefact");
         return Err(Error::usage(message).help("`--method poses` takes poses of a target: see docs/robots.md"));
     }
-    let folder = tempfile::tempdir().map_err(|error| Error::data(format!("there is no temporary folder: {error}")))?;
+    let folder =
+        TemporaryFolder::new().map_err(|error| Error::data(format!("there is no temporary folder: {error}")))?;
     let mut trial = Trial { folder, registry, monitor, files: BTreeMap::new() };
     if let Some(nominal) = method.nominal_file() {
         trial.write(nominal, method.nominal())?;

@@ -60,6 +60,9 @@ pub fn read(path: &Path, layout: &Layout) -> Result<(Dataset, usize)> {
     let size = bytes.len() as u64;
     let begin = begin(&bytes);
     let end = checked(&bytes, begin, abbe_files::most_content(size)).map_err(|why| failed(&why))?;
+    if more_follows(&bytes, end) {
+        return Err(failed(&"more follows behind the mark of its end: are several files in one?"));
+    }
     let mut rest = Buffer::from_vec(bytes).slice_with_length(begin, end - begin);
     let mut decoder = StreamDecoder::new();
     let mut data: Option<Growing> = None;
@@ -110,6 +113,20 @@ fn checked(bytes: &[u8], begin: usize, most: u64) -> Result<usize, String> {
             Part::Last(end) => return Ok(end),
         }
     }
+}
+
+/// Whether anything but zeros stands between the end of the stream and the list of its parts, or the end of what has none.
+fn more_follows(bytes: &[u8], end: usize) -> bool {
+    let mut rest = &bytes[end..];
+    if bytes.starts_with(MARK) {
+        // The list, its length in four bytes, and the mark.
+        let length =
+            rest.len().checked_sub(MARK.len() + 4).and_then(|at| rest[at..].first_chunk::<4>().map(|four| (at, *four)));
+        let Some((at, length)) = length else { return true };
+        let Some(list) = at.checked_sub(u32::from_le_bytes(length) as usize) else { return true };
+        rest = &rest[..list];
+    }
+    rest.iter().any(|byte| *byte != 0)
 }
 
 /// The part that begins at a place. Its content may have `most` bytes.

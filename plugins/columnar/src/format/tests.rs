@@ -320,6 +320,27 @@ fn broken_files_are_refused() {
     assert!(refused > 250 && taken > 25, "{refused} refused, {taken} taken");
 }
 
+/// Several files in one: the rows of the first alone would be taken for all.
+#[test]
+fn what_follows_the_end_of_arrow_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for seed in 0..20 {
+        let random = &mut Random(2000 + seed);
+        let tried = tried(random, false);
+        let [first, second] = [0, 1].map(|_| bytes(Format::ArrowIpc, &tried, random));
+        let read = |bytes: &[u8]| read(Format::ArrowIpc, folder.path(), bytes, &Layout::default());
+        assert!(read(&first).is_ok());
+        let is_stream = !first.starts_with(b"ARROW1");
+        if is_stream {
+            assert!(read(&[&first[..], &[0; 8]].concat()).is_ok());
+        }
+        for more in [&second[..], &[7; 5000]] {
+            let error = read(&[&first[..], more].concat()).unwrap_err().to_string();
+            assert!(error.contains("more follows") || !is_stream && error.contains("ends too early"), "{error}");
+        }
+    }
+}
+
 #[test]
 fn what_is_no_such_file_is_refused() {
     let folder = tempfile::tempdir().unwrap();

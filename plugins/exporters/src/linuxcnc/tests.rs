@@ -168,7 +168,7 @@ fn errors_point_at_the_setting() {
         (json!({ "axes": [] }), "axes: at least one axis was expected"),
         (
             json!({ "step": 2 }),
-            "step: unknown setting `step` (possible are: step_mm, step_deg, type, axes, ranges, existing)",
+            "step: unknown setting `step` (possible are: step_mm, step_deg, type, axes, ranges, existing, largest_mm, largest_deg)",
         ),
     ];
     for (settings, expected) in refused {

@@ -236,7 +236,7 @@ pub fn warm_up(fit: &Fit, warm_up: &WarmUp, findings: &mut Findings) {
         }
     }
     findings.remarks.push(format!(
-        "warm-up in the manner of ISO 230-3: end = last reading, slope = straight line through the last {} minutes, time to 95 % of \
+        "warm-up in the manner of ISO 230-3:2020: end = last reading, slope = straight line through the last {} minutes, time to 95 % of \
          the way from the first to the last reading",
         warm_up.slope_over_min
     ));
