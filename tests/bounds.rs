@@ -336,3 +336,54 @@ fn many_columns_of_labels_take_no_time_of_their_own() {
     let printed = ended(&small, &["run", RECIPE, "--time-limit", "60"]);
     assert_eq!(printed.status, 0, "{}", printed.stderr);
 }
+
+/// A chain of 50,000 sets, each of which names the next one; and the same with a circle at its end.
+#[test]
+fn a_long_chain_of_sets_ends() {
+    const SETS: usize = 50_000;
+    let small = Small::new();
+    let recipe = small.read(RECIPE);
+    let with = |last: &str| {
+        let chain = (0..SETS).map(|set| format!("  s{set}: [\"@s{}\"]\n", set + 1)).collect::<String>();
+        let text = recipe.replacen("sets:\n", &format!("sets:\n{chain}  s{SETS}: [{last}]\n"), 1);
+        let used = text.replacen("parameters: [", "parameters: [\"@s0\", ", 1);
+        assert!(text != recipe && used != text);
+        small.write(RECIPE, &used);
+        ended(&small, &["check", RECIPE])
+    };
+    assert_eq!(with("dxt").status, 0);
+    let circle = with("\"@s0\"");
+    assert_eq!(circle.status, 2);
+    assert!(circle.stderr.contains("in a circle: s0 -> s1"), "{}", &circle.stderr[..200]);
+}
+
+/// Where the system gives no more threads than that which waits for signals, the work is done without them, and finds the same. Where it
+/// gives none at all, that is said.
+#[cfg(target_os = "linux")]
+#[test]
+fn without_more_threads_the_results_are_the_same() {
+    let small = Small::new();
+    let trials = "  trials: { estimate: monte-carlo, of: fine, trials: 2000, seed: 1 }\n  judge:";
+    small.write(RECIPE, &small.read(RECIPE).replace("  judge:", trials));
+    let run = |out: &str, memory_kib: &str, stack: u64| {
+        let limited = "ulimit -v \"$0\" && exec \"$@\"";
+        let mut command = std::process::Command::new("sh");
+        command.args(["-c", limited, memory_kib, env!("CARGO_BIN_EXE_abbe-under-test"), "run", RECIPE, "--out", out]);
+        // Each thread asks for room of this size for its stack.
+        command.current_dir(small.folder.path()).env("NO_COLOR", "1").env("RUST_MIN_STACK", stack.to_string());
+        crate::support::printed(&mut command)
+    };
+    let read = |out: &str| {
+        let read = |name: &str| small.read(&format!("{out}/recipe/{name}"));
+        [read("fine.calibration.json"), read("trials.calibration.json"), read("verdicts.json")]
+    };
+    let usual = run("usual", "unlimited", 2 << 20);
+    assert_eq!(usual.status, 0, "{}", usual.stderr);
+    // Room for one stack, and not for two.
+    let one = run("one", "4194304", 2500 << 20);
+    assert_eq!(one.status, 0, "{}", one.stderr);
+    assert_eq!(read("one"), read("usual"));
+    let none = run("none", "4194304", 5000 << 20);
+    assert!(none.status == 1 && none.stderr.contains("signals cannot be handled"), "{}", none.stderr);
+    assert!(!none.stderr.contains("panicked") && !small.path("none").exists(), "{}", none.stderr);
+}

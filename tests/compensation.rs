@@ -472,7 +472,18 @@ fn the_command_corrects_files() {
         assert!(printed.stdout.contains(expected), "{expected}: {}", printed.stdout);
     }
     let ours = read(&at("corrected.csv"));
-    assert_eq!(ours, read(&folder("table-table").join("compensated-cone.csv")).replace("\r\n", "\n"));
+    let (mark, commands) = ours.split_once('\n').expect("lines");
+    assert_eq!(mark, "# abbe compensated: calibration truth");
+    assert_eq!(commands, read(&folder("table-table").join("compensated-cone.csv")).replace("\r\n", "\n"));
+    // What is corrected is not corrected again.
+    let again = abbe(place.path(), &["compensate", "truth.calibration.json", "corrected.csv", "--out", "again.csv"]);
+    assert_eq!(again.status, 1, "{}", again.stderr);
+    assert!(
+        again.stderr.contains("these set-points are compensated already") && again.stderr.contains("corrected.csv:1:1"),
+        "{}",
+        again.stderr
+    );
+    assert!(!at("again.csv").exists());
     assert_eq!(read(&at("report.csv")).lines().count(), 721);
     let printed = run(&["--json"]);
     let figures: Value = serde_json::from_str(&printed.stdout).expect("JSON");

@@ -3,6 +3,7 @@
 //! One law for all ([`law`]): the exported files go into the emulator, the commands of its motors go to the virtual machine with the
 //! errors of the calibration, and its tool is where the exporter's own prediction says. With the sign turned the law fails.
 
+mod active;
 mod endless;
 mod fanuc;
 mod fanuc_five_axis;

@@ -156,3 +156,64 @@ fn interrupted_by(signal: &str, expected: i32) {
     let told = |event: &str, stage: &str| events.iter().any(|it| it["event"] == event && it["stage"] == stage);
     assert!(told("started", "fine") && told("iteration", "fine") && told("part", "trials"), "{events:?}");
 }
+
+/// Waits until there is something in a folder; gives whether the program still runs then.
+#[cfg(unix)]
+fn has_begun(run: &mut std::process::Child, folder: &std::path::Path) -> bool {
+    let started = std::time::Instant::now();
+    loop {
+        if run.try_wait().expect("it can be asked").is_some() {
+            return false;
+        }
+        if fs::read_dir(folder).expect("a folder").next().is_some() {
+            return true;
+        }
+        assert!(started.elapsed() < std::time::Duration::from_secs(100), "there is no temporary folder");
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+}
+
+/// Temporary folders of `abbe new`, and of a report that a browser prints, go with a signal.
+#[cfg(unix)]
+#[test]
+fn temporary_folders_go_with_a_signal() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let env = std::process::Command::new("env").args([DEFAULT_SIGNALS, "true"]).stderr(Stdio::null()).status();
+    if !env.is_ok_and(|status| status.success()) {
+        return crate::support::skipped("interrupted", "`env --default-signal` of GNU coreutils is not there");
+    }
+    let small = Small::new();
+    assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "known"]).status, 0);
+    // A browser that never comes to an end.
+    let browser = small.path("browser");
+    small.write("browser", "#!/bin/sh\nexec sleep 600\n");
+    fs::set_permissions(&browser, fs::Permissions::from_mode(0o755)).expect("permissions");
+    let new = ["new", "beginning", "--chain", "w C' A' b X Y Z t", "--method", "table"];
+    let report = ["report", "known/recipe", "--out", "page.pdf"];
+    for (arguments, made) in [(&new[..], "beginning"), (&report[..], "page.pdf")] {
+        for (signal, expected) in [("-INT", 130), ("-TERM", 143), ("-HUP", 129)] {
+            let folder = small.path("temporary");
+            fs::create_dir(&folder).expect("a folder");
+            let mut run = std::process::Command::new("env")
+                .args([DEFAULT_SIGNALS, env!("CARGO_BIN_EXE_abbe-under-test")])
+                .args(arguments)
+                .current_dir(small.folder.path())
+                .env("TMPDIR", &folder)
+                .env("ABBE_BROWSER", &browser)
+                .stdout(Stdio::null())
+                .stderr(Stdio::null())
+                .spawn()
+                .expect("the program starts");
+            assert!(has_begun(&mut run, &folder), "{arguments:?} ended before the signal");
+            let sent = std::process::Command::new("kill").args([signal, &run.id().to_string()]).status();
+            assert!(sent.expect("kill is there").success());
+            let status = run.wait().expect("an interrupted command ends");
+            assert_eq!(status.code(), Some(expected), "{arguments:?} {signal}");
+            let left: Vec<_> = fs::read_dir(&folder).expect("a folder").flatten().map(|entry| entry.path()).collect();
+            assert!(left.is_empty(), "{arguments:?} {signal}: {left:?}");
+            assert!(!small.path(made).exists(), "{arguments:?} {signal}");
+            fs::remove_dir(&folder).expect("it is empty");
+        }
+    }
+}

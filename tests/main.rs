@@ -12,6 +12,7 @@ mod columnar;
 mod compensation;
 pub(crate) mod controls;
 mod copies;
+mod corrected;
 mod coverage;
 mod data;
 mod decisions;

@@ -6,7 +6,7 @@ use std::path::Path;
 use abbe_core::Monitor;
 use abbe_engine::prepare;
 
-use crate::support::{Small, recipes, registry, temporary, tree};
+use crate::support::{Small, abbe, recipes, registry, temporary, tree};
 
 fn run(small: &Small, out: &str) -> (i32, String) {
     let printed = small.abbe(&["run", "recipe.yaml", "--out", out]);
@@ -254,6 +254,42 @@ fn a_slash_behind_the_name_of_a_file_does_not_replace_it() {
     assert!(!small.path("mine.txt-new-1").exists());
 }
 
+/// The folder in which a command runs is not replaced under it, whatever it is called; others are written by any of their names.
+#[test]
+fn an_empty_folder_may_be_named_in_several_ways() {
+    let folder = temporary();
+    let here = folder.path().join("here");
+    fs::create_dir(&here).expect("a folder");
+    let new = |out: &str| abbe(&here, &["new", out, "--chain", "w b X Y Z t", "--method", "ball"]);
+    for out in [".", "./", "../here", "../here/.", "../here/"] {
+        let printed = new(out);
+        assert!(
+            printed.status == 1 && printed.stderr.contains("the folder that this command runs in"),
+            "{out}: {}",
+            printed.stderr
+        );
+        assert!(tree(&here).is_empty(), "{out}");
+    }
+    for out in ["new", "other/.", "third/", "link/", "deep/er/./"] {
+        #[cfg(unix)]
+        if out == "link/" {
+            fs::create_dir(here.join("led")).expect("a folder");
+            std::os::unix::fs::symlink("led", here.join("link")).expect("a link");
+        }
+        let printed = new(out);
+        assert_eq!(printed.status, 0, "{out}: {}", printed.stderr);
+        assert!(!tree(&here.join(out)).is_empty(), "{out}");
+    }
+    let entries = |folder: &Path| -> Vec<String> {
+        let names = fs::read_dir(folder).expect("a folder").flatten().map(|entry| entry.file_name());
+        let mut names: Vec<String> = names.map(|name| name.to_string_lossy().into_owned()).collect();
+        names.sort();
+        names
+    };
+    assert_eq!(entries(&here), ["deep", "led", "link", "new", "other", "third"]);
+    assert_eq!(entries(folder.path()), ["here"]);
+}
+
 /// What a killed command has left is removed by the next one; what somebody else calls alike, or still writes, is not.
 #[test]
 fn files_of_killed_commands_are_removed() {
@@ -304,5 +340,47 @@ fn names_that_are_too_long_leave_nothing() {
         assert!(said.status != 0 && said.stderr.contains("too long for the disk"), "{command:?}: {}", said.stderr);
         assert!(!said.stderr.contains("--out"), "{}", said.stderr);
         assert_eq!(tree(small.folder.path()), before);
+    }
+}
+
+/// Names of 200 bytes and more, which leave no room for a longer one beside them; in one of them a letter of two bytes stands where it is
+/// cut.
+#[test]
+fn results_under_long_names_are_replaced_and_kept() {
+    for stem in ["n".repeat(200), "n".repeat(245), format!("{}{}", "n".repeat(199), "é".repeat(23)), "é".repeat(122)]
+    {
+        let small = Small::new();
+        let recipe = format!("{stem}.yaml");
+        small.write(&recipe, &small.read("recipe.yaml"));
+        let run = || small.abbe(&["run", &recipe, "--out", "out"]);
+        let place = format!("out/{stem}");
+        assert_eq!(run().status, 0);
+        let results = tree(&small.path(&place));
+        small.write(&format!("{place}/notes.txt"), "mine");
+        let again = run();
+        assert_eq!(again.status, 0, "{}: {}", stem.len(), again.stderr);
+        assert_eq!(small.read(&format!("{place}/notes.txt")), "mine");
+        assert_eq!(tree(&small.path(&place)).len(), results.len() + 1, "{}", stem.len());
+        assert_eq!(fs::read_dir(small.path("out")).expect("a folder").count(), 1, "{}", stem.len());
+        // A result that somebody changed while the run went on: the new ones are kept beside it, and later runs leave them there.
+        let prepared = prepare(&small.path(&recipe), &registry()).expect("a recipe");
+        let outcome = prepared.run(&Monitor::default()).expect("a run");
+        small.write(&format!("{place}/fine.calibration.json"), "{ \"edited\": true }");
+        let error = outcome.write(&small.path("out")).expect_err("a file is in the way");
+        assert!(
+            error.help.as_ref().is_some_and(|help| help.contains("the results are in")),
+            "{error} {:?}",
+            error.help
+        );
+        let beside = |small: &Small| {
+            let entries = fs::read_dir(small.path("out")).expect("a folder").flatten().map(|entry| entry.file_name());
+            entries.filter(|name| *name != *stem).collect::<Vec<_>>()
+        };
+        let kept = beside(&small);
+        assert!(kept.len() == 1 && kept[0].to_string_lossy().ends_with("-new-1"), "{kept:?}");
+        fs::remove_file(small.path(&place).join("fine.calibration.json")).expect("a file");
+        assert_eq!(run().status, 0);
+        assert_eq!(beside(&small), kept);
+        assert!(small.path("out").join(&kept[0]).join("fine.calibration.json").is_file());
     }
 }

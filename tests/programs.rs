@@ -224,6 +224,10 @@ fn from_step<'a>(
     }
 }
 
+/// Path, mm, beside a step on which an axis may turn around where the tip is programmed. An axis that begins with the slope zero, as Z
+/// does when a head tilts, moves by less than a nanometre there.
+const TURNING: f64 = 0.02;
+
 /// The directions that the axes may have in a step of the path. Where the tip is programmed an axis turns around somewhere in the steps
 /// beside, and each at a place of its own.
 fn approaches(goal: &Goal, step: usize, is_tip: bool) -> Vec<ByAxis> {
@@ -232,9 +236,13 @@ fn approaches(goal: &Goal, step: usize, is_tip: bool) -> Vec<ByAxis> {
     if !is_tip {
         return found;
     }
-    let beside = [Some(&goal.directions[step]), goal.directions.get(step + 2)];
+    let before =
+        (0..=step).rev().take_while(|other| *other == step || goal.length[step] - goal.length[*other] <= TURNING);
+    let after = (step + 2..goal.directions.len())
+        .take_while(|other| *other == step + 2 || goal.length[*other - 1] - goal.length[step + 1] <= TURNING);
+    let beside: Vec<&ByAxis> = before.chain(after).map(|other| &goal.directions[other]).collect();
     for (axis, direction) in own {
-        if beside.iter().flatten().any(|other| other.get(axis).unwrap_or(&1.0) != direction) {
+        if beside.iter().any(|other| other.get(axis).unwrap_or(&1.0) != direction) {
             let turned: Vec<ByAxis> = found
                 .iter()
                 .cloned()
@@ -884,6 +892,7 @@ fn what_the_control_decides_is_not_guessed() {
         )
     };
     for (words, line, says) in [
+        ("G43 Z100.", 5, "without an H"),
         ("H0", 5, "an H alone"),
         ("H3", 5, "an H alone"),
         ("G53 G0 Z200.", 7, "take the length"),
@@ -891,7 +900,7 @@ fn what_the_control_decides_is_not_guessed() {
     ] {
         refused(&machine, &after(words), &fanuc, line, says);
         let again = after(&format!("{words}\nG43 H1 Z100."));
-        if says != "an H alone" {
+        if says == "take the length" {
             corrected(&machine, &again, &fanuc, 1.0).unwrap_or_else(|error| panic!("{words}: {error}"));
         }
     }
@@ -907,6 +916,30 @@ fn what_the_control_decides_is_not_guessed() {
             let off = worst(&machine, &run(&text), &run(&done));
             assert!(off <= TOLERANCE + 2e-5, "{dialect:?} {parked}: {off}\n{done}");
         }
+    }
+    // So does a relative rapid move that stays as it is, because it is not known where another axis stands.
+    let head = "G21 G90 G17 G94 G54\nG0 X-50 Y-40 Z30\n";
+    let options = Options::new(Dialect::Linuxcnc);
+    let written = |text: &str| {
+        let (done, _) = corrected(&machine, text, &options, 1.0).unwrap_or_else(|error| panic!("{error}"));
+        let words: Vec<f64> = (done.split_whitespace())
+            .filter_map(|word| word.strip_prefix('X').and_then(|number| number.parse().ok()))
+            .collect();
+        (words, done)
+    };
+    let (ways, done) = written(&format!("{head}G91\nG28 Z10\nG0 X10\nG90 G53 G0 Z50\nG91 G0 X10\nM2\n"));
+    let (places, _) = written(&format!("{head}G0 Z50\nG0 X-30\nM2\n"));
+    let wanted = places[places.len() - 1];
+    assert_eq!(ways[1], 10.0, "{done}");
+    assert!((wanted + 30.0).abs() > 2e-3 && (ways.iter().sum::<f64>() - wanted).abs() < 2e-4, "{wanted}: {done}");
+    // An offset on top of the others, on controls that have one.
+    let offset = |place: &str| format!("G21 G90 G17 G94 G54\nG10 L2 {place} X5.\nG0 X0. Y0. Z0.\nM30\n");
+    for dialect in [Dialect::Fanuc, Dialect::Iso] {
+        refused(&machine, &offset("P0"), &Options::new(dialect), 2, "on top of the others");
+    }
+    for dialect in [Dialect::Linuxcnc, Dialect::Grbl] {
+        let done = |place: &str| corrected(&machine, &offset(place), &Options::new(dialect), 1.0).expect("an offset").0;
+        assert_eq!(done("P0"), done("P1").replace(" P1 ", " P0 "));
     }
     // The shorter way of an axis that has ends.
     let table = Machine::public("table-table");

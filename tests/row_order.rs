@@ -52,3 +52,28 @@ fn circles_that_run_against_their_angles_are_told() {
         assert_eq!(text.contains(ROUND), told, "{columns:?}: {text}");
     }
 }
+
+/// A circle that began elsewhere than its column `angle` says: the readings then belong to other directions.
+#[test]
+fn angles_beside_those_of_the_positions_are_told() {
+    let folder = temporary();
+    for (degrees, told) in [(0.0, false), (1.0, false), (8.0, true), (-45.0, true), (90.0, true)] {
+        let mut recipe = Variant::of(&recipes()["standards-ball-bar"]);
+        let other = |file: &serde_json::Value| {
+            let file = std::path::PathBuf::from(file.as_str().expect("a path"));
+            json!(changed(&file, folder.path(), "angle_deg", |_, cell| {
+                (cell.parse::<f64>().expect("an angle") + degrees).to_string()
+            }))
+        };
+        let files: Vec<serde_json::Value> =
+            recipe.stage("circles")["path"].as_array().expect("files").iter().map(other).collect();
+        recipe.stage("circles")["path"] = json!(files);
+        let file = recipe.write(folder.path());
+        let printed = abbe(folder.path(), &["check".as_ref(), file.as_os_str()]);
+        let text = printed.stderr.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ");
+        let words = format!("the column `angle` is {degrees:.1} degrees beside the angle of the positions of X and Y");
+        assert_eq!(text.contains(&words), told, "{degrees}: {text}");
+        assert_eq!(text.contains("beside the angle of the positions"), told, "{degrees}: {text}");
+        assert!(!told || text.contains("ballbar-xy-f500.csv:"), "{text}");
+    }
+}

@@ -310,6 +310,27 @@ fn what_is_no_test_is_told_or_decides_nothing() {
     }
     let quiet = told("positioning", "rotary", &move |rows, place| a_thousandth(rows, place("reading_urad")));
     assert!(remarks(&quiet).contains(words[2]), "{}", remarks(&quiet));
+    // Positions with the wrong sign: rows run against their directions. Rows that are sorted do not.
+    let against = "run to smaller positions";
+    for (name, ingest) in [("positioning", "linear"), ("positioning", "rotary"), ("diagonals", "ppp")] {
+        let negated = |rows: &mut Cells, position: usize| {
+            rows.iter_mut()
+                .for_each(|row| row[position] = (-row[position].parse::<f64>().expect("a number")).to_string());
+        };
+        let unit = if ingest == "rotary" { "position_deg" } else { "position_mm" };
+        let turned = told(name, ingest, &move |rows, place| negated(rows, place(unit)));
+        assert!(remarks(&turned).contains(against), "{name} {ingest}: {}", remarks(&turned));
+        let stage = if name == "diagonals" { "diagonals" } else { name };
+        let of_run = |figure: &&Figure| figure.name.contains(&format!("[{ingest}]")) && figure.limit.is_some();
+        let limited: Vec<&Figure> = figures(&turned, stage).iter().filter(of_run).collect();
+        assert!(limited.iter().all(|figure| figure.inconclusive.is_some()), "{limited:?}");
+        let sorted = told(name, ingest, &move |rows, place| {
+            let at = place(unit);
+            let position = |row: &[String]| row[at].parse::<f64>().expect("a number");
+            rows.sort_by(|one, other| position(other).total_cmp(&position(one)));
+        });
+        assert!(!remarks(&sorted).contains(against), "{name} {ingest}: {}", remarks(&sorted));
+    }
     // Three rows decide nothing; nor does one diagonal of four.
     let short = told("rotary-interpolation", "read-c", &|rows, _| rows.truncate(3));
     let of_c: Vec<&Figure> = figures(&short, "c-axis").iter().filter(|figure| figure.limit.is_some()).collect();
@@ -323,4 +344,68 @@ fn what_is_no_test_is_told_or_decides_nothing() {
     assert!(
         figures(&all, "diagonals").iter().all(|figure| figure.name != "E_d[body]" || figure.inconclusive.is_none())
     );
+}
+
+/// A run whose signs are all turned, on random axes: told where its errors are more than its scatter, and never without it.
+#[test]
+fn a_run_with_turned_signs_is_told() {
+    const WORDS: &str = "is the sign of this run wrong?";
+    let folder = crate::support::temporary();
+    let said = |name: &str, ingest: &str, text: &str| {
+        let mut recipe = recipe(name);
+        let file = folder.path().join(format!("{ingest}.csv"));
+        crate::support::write(&file, text);
+        recipe.stage(ingest)["path"] = json!(file);
+        let outcome = recipe.run();
+        let remarks = outcome.verdicts.iter().flat_map(|verdict| verdict.remarks.clone());
+        remarks.filter(|remark| remark.contains(WORDS)).collect::<Vec<String>>()
+    };
+    // The recipes, as they are and with their second run turned.
+    for (name, ingest, reading) in [
+        ("positioning", "linear", "reading_um"),
+        ("positioning", "rotary", "reading_urad"),
+        ("diagonals", "ppp", "reading_um"),
+    ] {
+        let file = recipe(name).path(ingest, "path");
+        let (header, rows, place) = rows(&file);
+        let text = |turned: bool| {
+            let line = |row: &Vec<String>| {
+                let mut row = row.clone();
+                if turned && row[place("run")] == "2" {
+                    row[place(reading)] = format!("{}", -row[place(reading)].parse::<f64>().expect("a number"));
+                }
+                row.join(",") + "\n"
+            };
+            format!("{header}\n{}", rows.iter().map(line).collect::<String>())
+        };
+        assert_eq!(said(name, ingest, &text(false)), [""; 0], "{name} {ingest}");
+        let told = said(name, ingest, &text(true));
+        assert!(told.len() == 1 && told[0].contains(": run 2 is "), "{name} {ingest}: {told:?}");
+    }
+    // Axes with errors from much smaller to much larger than their scatter.
+    let mut found = 0;
+    for seed in 0..120 {
+        let mut random = crate::support::Random::new(seed);
+        let (slope, wave, backlash) = (random.within(-20.0, 20.0), random.within(0.0, 5.0), random.within(0.0, 4.0));
+        let scatter = 10_f64.powf(random.within(-1.0, 1.0));
+        let runs = 3 + random.below(4);
+        let turned = random.below(runs);
+        let table = |sign: f64, random: &mut crate::support::Random| {
+            let mut text = "run,direction,position_mm,reading_um\n".to_owned();
+            for run in 0..runs {
+                for (way, target) in (0..9).map(|target| (1, target)).chain((0..9).rev().map(|target| (-1, target))) {
+                    let at = f64::from(target) * 97.0 + 3.0 * f64::from(target * target % 7);
+                    let error = slope * at / 800.0 + wave * (at / 90.0).sin() + 0.5 * backlash * f64::from(way);
+                    let own = if run == turned { sign } else { 1.0 };
+                    text.push_str(&format!("{run},{way},{at:.3},{:.3}\n", own * error + scatter * random.normal()));
+                }
+            }
+            text
+        };
+        assert_eq!(said("positioning", "linear", &table(1.0, &mut random)), [""; 0], "{seed}");
+        let told = said("positioning", "linear", &table(-1.0, &mut random));
+        assert!(told.iter().all(|told| told.contains(&format!(": run {turned} is "))), "{seed}: {told:?}");
+        found += told.len();
+    }
+    assert!(found > 20, "{found} were told");
 }

@@ -28,6 +28,9 @@ fn a_change_is_told_and_accepted() {
     assert!(test(&["--accept"], 0).contains("nothing had changed"));
     assert_eq!(small.read("recipe.expected"), before);
     // A gross error is a change of values.
+    let remark = "# Reviewed by the metrologist on Monday";
+    let before = before.replacen("\nrun = ", &format!("\n{remark}\nrun = "), 1);
+    small.write("recipe.expected", &before);
     small.write("data/touches.csv", &moved(0.2));
     let told = test(&["--junit", "test.xml", "--markdown", "test.md", "--out", "kept"], 1);
     assert!(told.contains("standard uncertainties apart"), "{told}");
@@ -39,6 +42,11 @@ fn a_change_is_told_and_accepted() {
     test(&["--accept"], 0);
     test(&[], 0);
     assert_ne!(small.read("recipe.expected"), before);
+    assert!(
+        small.read("recipe.expected").contains(&format!("\n{remark}\nrun = ")),
+        "{}",
+        small.read("recipe.expected")
+    );
 }
 
 #[test]

@@ -111,7 +111,7 @@ fn set_points_of_a_machine_that_is_warm_now_are_corrected() {
         let machine = frozen(&warming.machine, reference, &log, time);
         let info = machine.model.info();
         let status = |text: &str| -> Vec<f64> {
-            let mut lines = text.lines();
+            let mut lines = text.lines().filter(|line| !line.starts_with('#'));
             let names: Vec<&str> = lines.next().expect("a header").split(',').collect();
             let row = |line: &str| {
                 let cells: Vec<f64> = line.split(',').map(|cell| cell.parse().expect("a number")).collect();

@@ -101,6 +101,8 @@ fn axis(
     let slope = random.sign() * random.within(5.0, 15.0);
     let [bend, reversal, scatter] = [random.within(-3.0, 3.0), random.within(-3.0, 3.0), random.within(0.2, 0.9)];
     let off = laser.scale(travel, random);
+    // The range is that of differences between two readings.
+    let drift = laser.drift / 2.0_f64.sqrt();
     let mut tables = Tables::new(header);
     for run in 1..=runs {
         for direction in [1.0, -1.0] {
@@ -108,7 +110,7 @@ fn axis(
                 let place = if direction > 0.0 { place } else { targets.len() - 1 - place };
                 let part = (targets[place] - first) / travel;
                 let value = slope * part + bend * (6.0 * part).sin() + reversal * direction + scatter * random.normal();
-                let error = off * part + laser.drift * random.within(-0.5, 0.5);
+                let error = off * part + drift * random.within(-0.5, 0.5);
                 let at = targets[place];
                 tables.row(&format!("{run},{direction},{at:.4}{}", way(at)), &[(value, error)]);
             }

@@ -32,9 +32,12 @@ fn cargo_library(package: &str) -> PathBuf {
     BUILT.get_or_init(|| {
         let mut command = Command::new(env!("CARGO"));
         command.args(["build", "--locked", "--quiet", "--target-dir"]).arg(target());
-        // All that `cargo test --workspace` selects (`--examples` adds what only tests depend on): else shared crates would
-        // get other features, and be built a second time.
+        // All that `cargo test --workspace` selects (`--examples` adds what only tests depend on), with the same features: else
+        // shared crates would be built a second time.
         command.args(["--workspace", "--lib", "--examples"]);
+        for (is_on, feature) in [(cfg!(feature = "postgres"), "postgres"), (cfg!(feature = "parquet"), "parquet")] {
+            command.args(is_on.then_some(["--features", &format!("abbe-tests/{feature}")]).into_iter().flatten());
+        }
         let built = command.current_dir(root()).output().expect("cargo runs");
         assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
     });

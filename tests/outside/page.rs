@@ -2,12 +2,14 @@
 //! dark, on paper.
 
 use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use serde_json::json;
 
 use crate::outside::browser::{browser, for_root, page_of};
 use crate::outside::driver::Driver;
-use crate::support::{Small, as_typed, read, root, skipped, temporary};
+use crate::support::{Small, as_typed, program, read, root, skipped, temporary};
 
 const WIDE: [u32; 2] = [1200, 900];
 const NARROW: [u32; 2] = [360, 740];
@@ -246,4 +248,30 @@ fn abbe_prints_a_pdf() {
     assert!(text.contains("/MediaBox [0 0 594.9") || text.contains("/MediaBox [0 0 595"), "no A4");
     let sheets = text.matches("/Type /Page\n").count() + text.matches("/Type/Page\n").count();
     assert!((2..40).contains(&sheets), "{sheets} sheets");
+}
+
+/// Whatever the browser is about to write when a signal comes: nothing of it stays.
+#[cfg(unix)]
+#[test]
+fn a_signal_while_a_pdf_is_printed_leaves_nothing() {
+    if browser("a_signal_while_a_pdf_is_printed_leaves_nothing").is_none() {
+        return;
+    }
+    let small = Small::new();
+    assert_eq!(small.abbe(&["run", "recipe.yaml"]).status, 0);
+    let at = small.folder.path();
+    let temporary = at.join("temporary");
+    std::fs::create_dir(&temporary).expect("a folder");
+    for milliseconds in [200, 600, 1000, 1400, 1800, 2200, 2600, 3000] {
+        let mut command = program(at, &["report", "out/recipe", "--out", "page.pdf"]);
+        command.env("TMPDIR", &temporary).stdout(Stdio::null()).stderr(Stdio::null());
+        let mut printing = command.spawn().expect("it starts");
+        std::thread::sleep(Duration::from_millis(milliseconds));
+        // It may have ended by now.
+        let _ = Command::new("kill").args(["-TERM", &printing.id().to_string()]).stderr(Stdio::null()).status();
+        printing.wait().expect("it ends");
+        let left: Vec<_> = std::fs::read_dir(&temporary).expect("a folder").flatten().map(|own| own.path()).collect();
+        assert!(left.is_empty(), "after {milliseconds} ms: {left:?}");
+        let _ = std::fs::remove_file(at.join("page.pdf"));
+    }
 }

@@ -58,7 +58,9 @@ fn rust_alone(tests: &mut Tests) -> Outcome {
     docs.env("RUSTDOCFLAGS", "-D warnings");
     run_command(docs)?;
     let all = ["test", "--workspace", "--locked", "--no-fail-fast"];
-    let of_tests = tests.run(&[&all[..], &FEATURES, &["--", "--skip", OUTSIDE]].concat());
+    // Many tests wait, for limits of time or for other processes: one thread more than processors.
+    let threads = format!("--test-threads={}", std::thread::available_parallelism().map_or(1, usize::from) + 1);
+    let of_tests = tests.run(&[&all[..], &FEATURES, &["--", "--skip", OUTSIDE, &threads]].concat());
     // What the recipes find is what was reviewed. The program of the tests stands beside this one: no second build.
     let this = std::env::current_exe().map_err(|error| error.to_string())?;
     let mut abbe = Command::new(this.with_file_name("abbe-under-test"));

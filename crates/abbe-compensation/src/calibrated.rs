@@ -62,6 +62,85 @@ pub fn check_confounded(model: &dyn KinematicModel, calibration: &Calibration, s
     Ok(())
 }
 
+/// Part of the range of a load, or a temperature, by which it may be beyond those of the calibration without a word.
+const BEYOND: f64 = 0.1;
+
+/// Loads that are beyond those of the calibration by more than this many times their range are refused: another unit.
+const FAR: f64 = 2.0;
+
+/// Derivatives that differ by less than this part of themselves are the same.
+const SAME: f64 = 1e-6;
+
+/// Loads, temperatures and the like of set-points that are beyond those of the calibration
+/// ([`FitReport::statuses`](abbe_core::FitReport::statuses)): for each of them the first point, and a sentence. What the tip does not
+/// depend on by an estimated parameter is left out.
+///
+/// Fails for loads that are far beyond; the error names the point.
+pub fn extrapolated(
+    model: &dyn KinematicModel,
+    calibration: &Calibration,
+    statuses: &[f64],
+) -> Result<Vec<(usize, String)>> {
+    let info = model.info();
+    let width = info.status.len().max(1);
+    let mut told = Vec::new();
+    for (place, column) in info.status.iter().enumerate() {
+        let Some(&[low, high]) = calibration.fit.statuses.get(&column.name) else { continue };
+        let is_load = column.role == StatusRole::Load;
+        // A load of zero bends nothing.
+        let low = if is_load { low.min(0.0) } else { low };
+        let range = high - low;
+        let above = |value: f64| (value - high).max(low - value);
+        let all = || statuses.chunks(width).map(|status| status[place]).enumerate();
+        let worst = all().max_by(|one, other| above(one.1).total_cmp(&above(other.1)));
+        let Some((worst, value)) = worst.filter(|(_, value)| range > 0.0 && above(*value) > BEYOND * range) else {
+            continue;
+        };
+        let status = &statuses[worst * width..(worst + 1) * width];
+        if !depends(model, calibration, status, place, value.clamp(low, high))? {
+            continue;
+        }
+        let header = format!("{}{}", column.name, column.quantity.usual_suffix());
+        let sentence = format!("`{header}` is {value}; the machine was measured from {low} to {high}");
+        if is_load && above(value) > FAR * range {
+            let help = "is the unit that of the column? else measure the machine with such a load";
+            return Err(Error::data(sentence).help(help).at_pose(worst));
+        }
+        let first = all().find(|(_, value)| above(*value) > BEYOND * range).map_or(worst, |(point, _)| point);
+        told.push((first, format!("{sentence}: corrections are extrapolated")));
+    }
+    Ok(told)
+}
+
+/// Whether a value of a status acts on the tip by an estimated parameter.
+fn depends(
+    model: &dyn KinematicModel,
+    calibration: &Calibration,
+    status: &[f64],
+    place: usize,
+    other: f64,
+) -> Result<bool> {
+    let is_estimated = |name: &str| calibration.get(name).is_some_and(|known| known.status == Status::Estimated);
+    let parameters = model.info().parameters.iter().enumerate();
+    let wanted: Vec<Variable> = parameters
+        .filter(|(_, parameter)| is_estimated(&parameter.name))
+        .map(|(index, _)| Variable::Parameter(index))
+        .collect();
+    let mut both = [status, status].concat();
+    both[status.len() + place] = other;
+    let mut poses = Poses::default();
+    model.poses(&both, &machine_values(model, calibration), &wanted, true, &mut poses)?;
+    let differ = |list: &[[f64; 3]]| {
+        let (one, other) = list.split_at(list.len() / 2);
+        let apart = |(one, other): (&[f64; 3], &[f64; 3])| {
+            let difference = [0, 1, 2].map(|axis| one[axis] - other[axis]);
+            size(&difference) > SAME * size(one).max(size(other))
+        };
+        one.iter().zip(other).any(apart)
+    };
+    Ok(differ(&poses.position_derivatives) || differ(&poses.rotation_derivatives))
+}
+
 /// Set-points all over the workspace: no knot, no symmetry and no ripple of an error meets them all.
 const ANYWHERE: usize = 600;
 

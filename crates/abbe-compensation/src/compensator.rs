@@ -21,7 +21,7 @@ const SETTLED: f64 = 1e-10;
 /// A pass of the rotary axes is worthwhile if it leaves less than this part of the angle.
 const WORTHWHILE: f64 = 0.5;
 
-/// Distance of the tip, mm, and angle of the tool axis, rad, below which nothing is left to correct.
+/// Distance of the tip, mm, and angle of the tool axis, rad, below which nothing is left to correct, unless said otherwise.
 const THERE: f64 = 1e-11;
 
 /// Distance of the tip, mm, that is not left where linear axes can bring it to its goal.
@@ -80,8 +80,8 @@ impl State {
     }
 
     /// Whether nothing is left to correct. Where axes are nearly parallel, or near a pole, steps stay larger than that.
-    fn is_there(&self, lacks: &Deviation) -> bool {
-        lacks.distance() < THERE && (*self == Self::Standing || lacks.angle() < THERE)
+    fn is_there(&self, lacks: &Deviation, there: f64) -> bool {
+        lacks.distance() < there && (*self == Self::Standing || lacks.angle() < there)
     }
 }
 
@@ -95,6 +95,8 @@ pub struct Compensator<'a> {
     rotary: Vec<usize>,
     wanted: Vec<Variable>,
     task: Task,
+    /// Distance of the tip, mm, and angle of the tool axis, rad, below which nothing is left to correct.
+    there: f64,
     /// Whether commands have to be within the travel of their axes.
     within_travel: bool,
 }
@@ -111,7 +113,12 @@ impl<'a> Compensator<'a> {
             Some(direction) => Task::Along(Vector3::from(direction).normalize()),
             None => Task::Components(settings.weights.map_or(Vector3::repeat(1.0), Vector3::from)),
         };
-        Ok(Self { model, values, settings, linear, rotary, wanted, task, within_travel: true })
+        Ok(Self { model, values, settings, linear, rotary, wanted, task, there: THERE, within_travel: true })
+    }
+
+    /// The same for commands of which digits below `there` (mm of the tip, rad of the tool axis) do not matter.
+    pub fn no_finer_than(self, there: f64) -> Self {
+        Self { there: there.max(THERE), ..self }
     }
 
     /// The same for commands that no axis drives to: the corrections in a table, at its ends.
@@ -157,8 +164,8 @@ impl<'a> Compensator<'a> {
             .map(|point| Correction { before: deviation(&now, &goal, point), ..Correction::default() })
             .collect();
         let width = self.model.info().status.len();
+        let all: Vec<usize> = (0..self.model.info().axes.len()).collect();
         for (point, status) in programmed.chunks(width).enumerate() {
-            let all: Vec<usize> = (0..self.model.info().axes.len()).collect();
             if let Some(beyond) = self.beyond_travel(status, &all) {
                 return Err(Error::data(format!("{beyond}; the path cannot be run")).at_pose(point));
             }
@@ -176,8 +183,11 @@ impl<'a> Compensator<'a> {
             let derivatives = if self.settings.method == Method::FirstOrder { &goal } else { &slopes };
             let mut has_moved = false;
             for (point, status) in statuses.chunks_mut(width).enumerate() {
-                let lacks = deviation(&now, &goal, point);
-                if states[point].is_settled() || self.rotary.is_empty() && states[point].is_there(&lacks) {
+                let lacks = match self.rotary.is_empty() {
+                    true => deviation_of_tip(&now, &goal, point),
+                    false => deviation(&now, &goal, point),
+                };
+                if states[point].is_settled() || self.rotary.is_empty() && states[point].is_there(&lacks, self.there) {
                     states[point] = State::Settled;
                     continue;
                 }
@@ -245,6 +255,7 @@ impl<'a> Compensator<'a> {
             rotary: Vec::new(),
             wanted: self.wanted[..self.linear.len()].to_vec(),
             task: self.task.clone(),
+            there: self.there,
             within_travel: self.within_travel,
         }
     }
@@ -283,7 +294,7 @@ impl<'a> Compensator<'a> {
                 correction.held.push(axis);
             }
         }
-        if largest < SETTLED || state.is_there(lacks) {
+        if largest < SETTLED || state.is_there(lacks, self.there) {
             *state = State::Settled;
         }
     }
@@ -417,6 +428,11 @@ fn tool_axis(poses: &Poses, point: usize) -> Vector3<f64> {
 }
 
 pub(crate) fn deviation(now: &Poses, goal: &Poses, point: usize) -> Deviation {
+    let axis = (tool_axis(now, point) - tool_axis(goal, point)).into();
+    Deviation { axis, ..deviation_of_tip(now, goal, point) }
+}
+
+fn deviation_of_tip(now: &Poses, goal: &Poses, point: usize) -> Deviation {
     let tip = [0, 1, 2].map(|axis| now.positions[point][axis] - goal.positions[point][axis]);
-    Deviation { tip, axis: (tool_axis(now, point) - tool_axis(goal, point)).into() }
+    Deviation { tip, ..Deviation::default() }
 }

@@ -11,6 +11,7 @@
 //! What a machine cannot correct is told for every set-point ([`Correction`]): the tool axis where its rotary axes do not span both
 //! tilts, corrections beyond the declared bound near a pole, ends of travel.
 
+pub mod active;
 mod calibrated;
 mod compensator;
 mod figures;
@@ -27,11 +28,11 @@ mod temperatures;
 mod thermal;
 mod thermal_lines;
 
-pub use calibrated::{check_confounded, check_confounded_anywhere};
+pub use calibrated::{check_confounded, check_confounded_anywhere, extrapolated};
 pub use compensator::{Compensator, Correction, Deviation};
 pub use figures::{Figures, ReversedMoves, Spread, figures, reversed_moves};
 pub use measured::{Measured, MeasuredPoints, cost_of_leaving_out};
-pub use path::CompensatedPath;
+pub use path::{CompensatedPath, MARK};
 pub use remaining::{Expected, Remaining, Trials, remaining};
 pub use set_points::SetPoints;
 pub use settings::{Correct, Method, Settings, Travel};

@@ -5,7 +5,7 @@ use std::path::Path;
 use abbe_core::{Calibration, Error, KinematicModel, Poses, Result, StatusRole, machine_values};
 use abbe_volumetric::predict;
 
-use crate::calibrated::check_confounded;
+use crate::calibrated::{check_confounded, extrapolated};
 use crate::compensator::beyond;
 use crate::figures::{Spread, largest_reversal, largest_uncertainty};
 use crate::set_points::SetPoints;
@@ -49,6 +49,7 @@ impl MeasuredPoints {
                 }
             }
             check_confounded(model, calibration, points.statuses())?;
+            points.tell(&extrapolated(model, calibration, points.statuses())?);
             let errors = predict(model, calibration, points.statuses())?;
             let mut nominal = Poses::default();
             model.poses(points.statuses(), &model.info().without_errors(), &[], false, &mut nominal)?;

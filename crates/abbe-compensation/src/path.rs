@@ -2,14 +2,17 @@
 
 use std::path::Path;
 
-use abbe_core::{Calibration, KinematicModel, Result, machine_values};
+use abbe_core::{Calibration, Error, KinematicModel, Result, machine_values};
 use abbe_volumetric::predict;
 
-use crate::calibrated::check_confounded;
+use crate::calibrated::{check_confounded, extrapolated};
 use crate::compensator::{Compensator, Correction};
 use crate::figures::{ReversedMoves, largest_uncertainty, reversed_moves};
 use crate::set_points::SetPoints;
 use crate::settings::Settings;
+
+/// Words in a remark of what was corrected, set-points or a program: to correct it again would put the tool off.
+pub const MARK: &str = "abbe compensated";
 
 /// The set-points of a file with corrected commands.
 #[derive(Debug, Clone, PartialEq)]
@@ -24,6 +27,8 @@ pub struct CompensatedPath {
     pub reversed: Vec<ReversedMoves>,
     /// Largest standard uncertainty of the tip at each of them, in any direction, mm: what the calibration says of its parameters.
     pub uncertainties: Vec<f64>,
+    /// The estimate of the calibration.
+    estimate: String,
 }
 
 impl CompensatedPath {
@@ -41,15 +46,22 @@ impl CompensatedPath {
     }
 
     /// The same for set-points that are read.
+    ///
+    /// Fails for set-points that have the mark of a correction.
     pub fn of(
         model: &dyn KinematicModel,
         calibration: &Calibration,
         points: SetPoints,
         settings: &Settings,
     ) -> Result<Self> {
+        if let Some(line) = points.marked() {
+            let error = Error::data("these set-points are compensated already").at(points.path(), line, None);
+            return Err(error.help("correct the set-points as they were before"));
+        }
         let values = machine_values(model, calibration);
         let corrected = || {
             check_confounded(model, calibration, points.statuses())?;
+            points.tell(&extrapolated(model, calibration, points.statuses())?);
             let (statuses, corrections) = Compensator::new(model, &values, settings)?.correct(points.statuses())?;
             let reversed = reversed_moves(model, &values, points.statuses(), &statuses)?;
             let known = predict(model, calibration, &statuses)?;
@@ -57,7 +69,8 @@ impl CompensatedPath {
             Ok((statuses, corrections, reversed, uncertainties))
         };
         let (statuses, corrections, reversed, uncertainties) = corrected().map_err(|error| points.locate(error))?;
-        Ok(Self { points, statuses, corrections, reversed, uncertainties })
+        let estimate = calibration.estimate.clone();
+        Ok(Self { points, statuses, corrections, reversed, uncertainties, estimate })
     }
 
     /// Largest correction of the command of an axis, mm or rad.
@@ -72,9 +85,13 @@ impl CompensatedPath {
         self.uncertainties.iter().copied().fold(0.0, f64::max)
     }
 
-    /// The text of the file with corrected commands of nine decimals; all else is as it was.
+    /// The text of the file with corrected commands of nine decimals, after a remark that marks them as corrected ([`MARK`]); all else
+    /// is as it was.
     pub fn set_points_text(&self, model: &dyn KinematicModel) -> Result<String> {
-        self.points.with_commands(model, &self.statuses)
+        let text = self.points.with_commands(model, &self.statuses)?;
+        let end = if text.split('\n').next().is_some_and(|line| line.ends_with('\r')) { "\r\n" } else { "\n" };
+        let estimate: String = self.estimate.chars().filter(|letter| !letter.is_control()).collect();
+        Ok(format!("# {MARK}: calibration {estimate}{end}{text}"))
     }
 
     /// A CSV table with a row for every set-point: its errors in the table frame before and after the correction.

@@ -8,6 +8,8 @@ use abbe_core::{
 };
 use abbe_table::Cells;
 
+use crate::path::MARK;
+
 /// Names that axes have (ISO 841). A column with such a name and the unit of a length or an angle commands an axis.
 const LETTERS: &str = "XYZABCUVW";
 
@@ -149,6 +151,17 @@ impl SetPoints {
         self.len() == 0
     }
 
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The line with the mark of a correction ([`MARK`](crate::MARK)), if these set-points are corrected already.
+    pub fn marked(&self) -> Option<usize> {
+        let mut lines = (1..).zip(self.text.lines());
+        lines.find(|(_, line)| line.starts_with('#') && line.contains(MARK)).map(|(line, _)| line)
+    }
+
     /// The line of a point in its file.
     pub fn line(&self, point: usize) -> usize {
         self.data.origins[DataRow(point)].line
@@ -162,6 +175,13 @@ impl SetPoints {
                 error.at(&self.data.files[origin.file], origin.line, None)
             }
             _ => error,
+        }
+    }
+
+    /// Warns with the lines of points.
+    pub(crate) fn tell(&self, sentences: &[(usize, String)]) {
+        for (point, sentence) in sentences {
+            tracing::warn!("{}:{}: {sentence}", self.path.display(), self.line(*point));
         }
     }
 

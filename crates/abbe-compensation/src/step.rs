@@ -95,6 +95,13 @@ pub(crate) fn linear_steps(
 ) -> (Vec<f64>, Vec<bool>) {
     let axes = derivatives.len();
     let (mut steps, mut held) = (vec![0.0; axes], vec![false; axes]);
+    // Nearly always that is all there is to do.
+    if let Some(found) = of_three(task, change, derivatives)
+        && travel.iter().zip(&found).all(|(travel, step)| travel.contain(*step))
+    {
+        steps.copy_from_slice(&found);
+        return (steps, held);
+    }
     loop {
         let free: Vec<usize> = (0..axes).filter(|&axis| !held[axis]).collect();
         if free.is_empty() {
@@ -116,17 +123,20 @@ pub(crate) fn linear_steps(
     }
 }
 
+/// The steps of three axes that are not nearly parallel: nothing is left.
+fn of_three(task: &Task, change: &Vector3<f64>, columns: &[Vector3<f64>]) -> Option<[f64; 3]> {
+    let (Task::Components(_), [x, y, z]) = (task, columns) else { return None };
+    let matrix = Matrix3::from_columns(&[*x, *y, *z]);
+    let steps = (matrix.determinant().abs() > PARALLEL).then(|| matrix.lu().solve(change)).flatten()?;
+    Some(steps.into())
+}
+
 /// The smallest steps that leave the least.
 ///
 /// Which directions axes cannot correct is judged without weights: these say what matters where not all can be corrected.
 fn solved(task: &Task, change: &Vector3<f64>, columns: &[Vector3<f64>]) -> Vec<f64> {
-    if let (Task::Components(_), [x, y, z]) = (task, columns) {
-        let matrix = Matrix3::from_columns(&[*x, *y, *z]);
-        if matrix.determinant().abs() > PARALLEL
-            && let Some(steps) = matrix.lu().solve(change)
-        {
-            return steps.iter().copied().collect();
-        }
+    if let Some(steps) = of_three(task, change, columns) {
+        return steps.to_vec();
     }
     let plain = match task {
         Task::Components(_) => Task::Components(Vector3::repeat(1.0)),

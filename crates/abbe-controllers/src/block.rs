@@ -8,6 +8,7 @@ use crate::lexer::{self, Line, Sense, Word};
 use crate::machine::{Machine, Space};
 use crate::modal::{MachineOf, Modal, Motion, Said, Special, letter, refused};
 use crate::options::{MARK, Options};
+use crate::plan::Moved;
 use crate::refusal::Refusal;
 
 /// A move of a program.
@@ -43,8 +44,8 @@ impl Move {
 pub(crate) enum Action {
     /// It is copied. The motion that it makes modal, if it does.
     Copy(Option<Motion>),
-    /// It is copied, and the axes stand at these positions afterwards; those that it does not move, where they stood.
-    Jump { at: [Option<f64>; 9], moved: [bool; 9], space: Space, motion: Option<Motion>, is_rapid: bool },
+    /// It is copied, and the axes stand at these positions afterwards, if they were moved to them.
+    Jump { at: [Option<f64>; 9], moved: Box<[Moved; 9]>, space: Space, motion: Option<Motion>, is_rapid: bool },
     /// A move to correct.
     Move(Box<Move>),
 }
@@ -173,19 +174,19 @@ impl<'a> Reader<'a> {
                 };
             }
             Special::SetSystem | Special::Shift => {
-                self.modal.set_offsets(said.special, &line)?;
+                self.modal.set_offsets(said.special, &line, self.options)?;
                 return Ok(Action::Copy(motion));
             }
             Special::Home => {
                 let moved = if names_axis { named(&line) } else { [true; 9] };
                 (0..9).filter(|axis| moved[*axis]).for_each(|axis| self.modal.at[axis] = None);
                 self.modal.leaves_length(moved[2], self.options);
-                return Ok(self.jump(motion, true, moved));
+                return Ok(self.jump(motion, true, Moved::to(moved)));
             }
             Special::MachineBlock => {
                 self.machine_block(&line)?;
                 self.modal.leaves_length(named(&line)[2], self.options);
-                return Ok(self.jump(motion, true, named(&line)));
+                return Ok(self.jump(motion, true, Moved::to(named(&line))));
             }
             Special::ToolChange => {
                 // Where the control drives to for it, and whether it comes back, is not in the program.
@@ -194,7 +195,7 @@ impl<'a> Reader<'a> {
                     return Err(refused(word, "a move beside a change of the tool", help));
                 }
                 self.modal.at = [None; 9];
-                return Ok(self.jump(motion, false, [true; 9]));
+                return Ok(self.jump(motion, false, [Moved::To; 9]));
             }
             Special::None => {}
         }
@@ -211,8 +212,8 @@ impl<'a> Reader<'a> {
         }
     }
 
-    pub(crate) fn jump(&self, motion: Option<Motion>, is_rapid: bool, moved: [bool; 9]) -> Action {
-        Action::Jump { at: self.modal.at, moved, space: self.modal.space, motion, is_rapid }
+    pub(crate) fn jump(&self, motion: Option<Motion>, is_rapid: bool, moved: [Moved; 9]) -> Action {
+        Action::Jump { at: self.modal.at, moved: Box::new(moved), space: self.modal.space, motion, is_rapid }
     }
 
     pub(crate) fn machine_block(&mut self, line: &Line) -> Result<(), Refusal> {
@@ -278,6 +279,7 @@ impl<'a> Reader<'a> {
         self.check_length(&line, motion)?;
         let offset = self.modal.offset();
         let (mut target, mut named) = (self.modal.at, [false; 9]);
+        let mut moved = [Moved::No; 9];
         for word in &line.words {
             let Some(axis) = place(word.letter) else { continue };
             self.check_axis(word, axis)?;
@@ -292,6 +294,7 @@ impl<'a> Reader<'a> {
                     return Err(refused(word, "the shorter way of an axis without ends", "write the position itself"));
                 }
             };
+            moved[axis] = if relative { Moved::By(value) } else { Moved::To };
             target[axis] = match (relative, self.modal.at[axis]) {
                 (false, _) => Some(value + offset[axis]),
                 (true, Some(at)) => Some(at + value),
@@ -305,7 +308,7 @@ impl<'a> Reader<'a> {
         if let Some(unknown) = places.iter().find(|axis| target[**axis].is_none()) {
             self.modal.at = target;
             if motion == Motion::Rapid {
-                return Ok(self.jump(said.motion_word.and(Some(motion)), true, named));
+                return Ok(self.jump(said.motion_word.and(Some(motion)), true, moved));
             }
             let what = format!("a move in feed while the position of {} is not known", letter(*unknown));
             return Err(first(&line, &what, START));

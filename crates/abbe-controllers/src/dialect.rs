@@ -40,6 +40,11 @@ impl Dialect {
         Self::ALL.into_iter().find(|dialect| dialect.name() == name)
     }
 
+    /// Whether `G10 L2 P0` sets an offset on top of the others, and not that which acts.
+    pub(crate) fn has_external_offset(self) -> bool {
+        matches!(self, Self::Fanuc | Self::Iso)
+    }
+
     pub(crate) fn is_siemens(self) -> bool {
         self == Self::Siemens
     }

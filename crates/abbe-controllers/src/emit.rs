@@ -125,7 +125,10 @@ impl<'a> Emitter<'a> {
             words.push_str(" F");
             push_number(&mut words, self.inverse_feed(planned, piece, feed), 6, true);
         }
-        words.trim_start().to_owned()
+        if words.starts_with(' ') {
+            words.remove(0);
+        }
+        words
     }
 
     /// F of a piece under G93: the time of the block goes to its pieces as their share of the path.

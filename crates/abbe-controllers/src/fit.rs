@@ -74,7 +74,8 @@ pub(crate) fn pieces_of_segment(
     tolerance: f64,
     attempt: u32,
 ) -> Vec<(Path, Range<usize>)> {
-    let mut found = Vec::new();
+    // Most moves stay whole.
+    let mut found = Vec::with_capacity(1);
     let segment = Points { grid, of, parts, points, tolerance };
     let last = points.len() - 1;
     match of.path.arc {

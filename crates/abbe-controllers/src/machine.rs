@@ -36,6 +36,8 @@ pub struct Machine {
     base: Vec<f64>,
     /// Place in coordinates, column of the status, factor to rad.
     axes: Vec<(usize, usize, f64)>,
+    /// Whether there is an axis, by place.
+    has: [bool; 9],
     /// Indices of the linear axes X, Y and Z in the model.
     linear: Vec<(usize, usize)>,
     /// Place in coordinates, column of its direction.
@@ -142,6 +144,7 @@ impl Machine {
             base.push(value);
         }
         linear.sort_unstable();
+        let has = std::array::from_fn(|place| axes.iter().any(|(own, ..)| *own == place));
         let nominal = info.without_errors();
         let mut machine = Self {
             model: model.clone(),
@@ -150,6 +153,7 @@ impl Machine {
             settings,
             base,
             axes,
+            has,
             linear,
             directions,
             zero: [0.0; 3],
@@ -170,7 +174,7 @@ impl Machine {
 
     /// Whether it has an axis of this place.
     pub fn has(&self, place: usize) -> bool {
-        self.axes.iter().any(|(own, ..)| *own == place)
+        self.has[place]
     }
 
     /// Places of its axes.
@@ -216,7 +220,7 @@ impl Machine {
     /// Corrected positions, in the same coordinates.
     pub fn corrected(&self, space: Space, points: &[Point]) -> Result<Vec<Coordinates>> {
         let statuses = self.statuses(space, points)?;
-        let compensator = Compensator::new(self.model.as_ref(), &self.values, &self.settings)?;
+        let compensator = Compensator::new(self.model.as_ref(), &self.values, &self.settings)?.no_finer_than(FINEST);
         let (statuses, _) = compensator.correct(&statuses)?;
         let mut found: Vec<Coordinates> = points.iter().map(|point| point.at).collect();
         for (place, column, factor) in &self.axes {
@@ -346,6 +350,9 @@ fn level(column: &StatusColumn, value: f64) -> Result<f64> {
     let error = || Error::usage(format!("`{}` is {value}; one of {known} was expected", column.name));
     found.map(|index| index as f64).ok_or_else(error)
 }
+
+/// Distances of the tip, mm, and angles of the tool axis, rad, that no number of a program shows.
+const FINEST: f64 = 1e-8;
 
 /// Longest step, mm, between points at which a path is looked at, where no error repeats.
 const LONGEST_STEP: f64 = 2.0;

@@ -70,6 +70,9 @@ pub(crate) struct Modal {
     /// Whether the program has said its unit, and whether its numbers are absolute.
     pub(crate) has_unit: bool,
     pub(crate) has_distance: bool,
+    /// Whether the program has named a work offset, or that none acts; and whether one acts that it has not named.
+    has_system: bool,
+    pub(crate) uses_unnamed_system: bool,
 }
 
 /// What a block asks for besides its modal codes.
@@ -130,6 +133,8 @@ impl Modal {
             assumed: Vec::new(),
             has_unit: false,
             has_distance: false,
+            has_system: false,
+            uses_unnamed_system: false,
         }
     }
 
@@ -137,6 +142,7 @@ impl Modal {
     pub(crate) fn offset(&mut self) -> Coordinates {
         let mut offset = self.shift;
         if let Some(system) = self.system {
+            self.uses_unnamed_system |= !self.has_system;
             if !self.known[system] && !self.assumed.contains(&system) {
                 self.assumed.push(system);
             }
@@ -213,7 +219,7 @@ impl Modal {
                 Meaning::ArcAbsolute(absolute) => self.arc_absolute = absolute,
                 Meaning::FeedPerTime => self.inverse = false,
                 Meaning::InverseTime => self.inverse = true,
-                Meaning::System(system) => self.system = system,
+                Meaning::System(system) => (self.system, self.has_system) = (system, true),
                 Meaning::ToolLength => length = Some((word, true)),
                 Meaning::ToolLengthOff => {
                     length = Some((word, false));
@@ -344,7 +350,7 @@ impl Modal {
     }
 
     /// Carries out `G10 L2`, or `G52`.
-    pub(crate) fn set_offsets(&mut self, special: Special, line: &Line) -> Result<(), Refusal> {
+    pub(crate) fn set_offsets(&mut self, special: Special, line: &Line, options: &Options) -> Result<(), Refusal> {
         let value = |letter: u8| line.words.iter().find(|word| word.letter == letter);
         let first = line.words.iter().find(|word| word.letter == b'G');
         let of_block = |what: &str, help: &str| match first {
@@ -357,6 +363,10 @@ impl Modal {
                 let is_plain = value(b'L').is_some_and(|word| word.value == 2.0) && value(b'R').is_none();
                 let number = value(b'P').map(|word| word.value).filter(|number| (0.0..=9.0).contains(number));
                 match number {
+                    Some(0.0) if is_plain && options.dialect.has_external_offset() => {
+                        let help = "write P1 to P6, or say it by `--offset`";
+                        return Err(of_block("`G10 L2 P0` is an offset that acts on top of the others", help));
+                    }
                     Some(number) if is_plain && !self.relative => match number as usize {
                         0 => self.system,
                         number => Some(number - 1),

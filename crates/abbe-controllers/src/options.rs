@@ -60,4 +60,4 @@ impl Options {
 }
 
 /// What the comment in a corrected program begins with.
-pub const MARK: &str = "abbe compensated";
+pub const MARK: &str = abbe_compensation::MARK;

@@ -36,6 +36,24 @@ pub(crate) struct Piece {
     pub(crate) steps: usize,
 }
 
+/// What a line that is copied does with an axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Moved {
+    /// It stays where it stands.
+    No,
+    /// It comes to a position, which may be unknown.
+    To,
+    /// It moves by this, mm or degrees, from where it stands.
+    By(f64),
+}
+
+impl Moved {
+    /// Axes that come to positions; the others stay.
+    pub(crate) fn to(named: [bool; 9]) -> [Self; 9] {
+        named.map(|is_named| if is_named { Self::To } else { Self::No })
+    }
+}
+
 /// A move with its pieces.
 pub(crate) struct Planned {
     pub(crate) of: Box<Move>,
@@ -77,15 +95,20 @@ impl<'a> Planner<'a> {
     }
 
     /// Axes have moved without a correction; the others stand where they were written.
-    pub(crate) fn jumped(&mut self, at: &[Option<f64>; 9], moved: &[bool; 9]) {
+    pub(crate) fn jumped(&mut self, at: &[Option<f64>; 9], moved: &[Moved; 9]) {
         let known = |axis: usize| match self.written {
             Some(written) => Some(written[axis]).filter(|_| self.known[axis]),
             None => self.options.start[axis],
         };
         let before: [Option<f64>; 9] = std::array::from_fn(known);
         let is_first = self.written.is_none();
-        let now: [Option<f64>; 9] =
-            std::array::from_fn(|axis| if moved[axis] || is_first { at[axis] } else { before[axis] });
+        let now: [Option<f64>; 9] = std::array::from_fn(|axis| match moved[axis] {
+            _ if is_first => at[axis],
+            Moved::No => before[axis],
+            Moved::To => at[axis],
+            // From where it was written, which is not where the program has it.
+            Moved::By(way) => before[axis].map(|before| before + way),
+        });
         for axis in 0..9 {
             if let (Some(before), Some(now)) = (before[axis], now[axis])
                 && now != before
@@ -174,7 +197,7 @@ impl<'a> Planner<'a> {
     /// The parts of a move between places where an axis turns around.
     fn segments(&mut self, of: &Move, attempt: u32) -> Result<Vec<Segment>> {
         let steps = steps(of) << attempt;
-        let mut found = Vec::new();
+        let mut found = Vec::with_capacity(1);
         let mut push = |part: [f64; 2], directions: Coordinates, last: &mut Coordinates, known: bool| {
             let has_start = !known || directions != *last && of.machine.has_directions();
             let share = ((part[1] - part[0]) * steps as f64).ceil().max(1.0) as usize;
@@ -255,7 +278,7 @@ impl<'a> Planner<'a> {
     /// The pieces of a move from its corrected points.
     fn pieces(&mut self, of: &Move, segments: &[Segment], corrected: &[Coordinates], attempt: u32) -> Vec<Piece> {
         let grid = Grid::new(self.options, of);
-        let mut pieces = Vec::new();
+        let mut pieces = Vec::with_capacity(segments.len());
         let mut rest = corrected;
         for segment in segments {
             let (own, after) = rest.split_at(segment.points());
@@ -343,7 +366,8 @@ const MOST_STEPS: usize = 1 << 16;
 
 /// The points that have to be computed, and the index of the move of each.
 fn points_of(moves: &[Box<Move>], segments: &[Vec<Segment>]) -> (Vec<Point>, Vec<usize>) {
-    let (mut points, mut owners) = (Vec::new(), Vec::new());
+    let count = segments.iter().flatten().map(Segment::points).sum();
+    let (mut points, mut owners) = (Vec::with_capacity(count), Vec::with_capacity(count));
     for (index, (of, segments)) in moves.iter().zip(segments).enumerate() {
         for segment in segments {
             for step in usize::from(!segment.has_start)..=segment.steps {
@@ -381,8 +405,10 @@ fn located(mut error: Error, owners: &[usize]) -> Error {
 
 /// The largest distance of the tip from the programmed path along moves: index of the move, mm.
 fn remaining(planned: &[Planned]) -> Result<Vec<(usize, f64)>> {
-    let (mut points, mut goals, mut owners) = (Vec::new(), Vec::new(), Vec::new());
     let Some(first) = planned.first() else { return Ok(Vec::new()) };
+    let count = planned.iter().flat_map(|own| &own.pieces).map(|piece| piece.steps).sum();
+    let (mut points, mut goals) = (Vec::with_capacity(count), Vec::with_capacity(count));
+    let mut owners = Vec::with_capacity(count);
     for (index, own) in planned.iter().enumerate() {
         for piece in own.pieces.iter().filter(|piece| piece.purpose == Purpose::Path) {
             looked_at(piece, own, &mut points, &mut goals);

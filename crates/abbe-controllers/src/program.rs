@@ -12,7 +12,7 @@ use crate::emit::Emitter;
 use crate::machine::{Machine, Point, Space};
 use crate::modal::{MachineOf, letter};
 use crate::options::{MARK, Options};
-use crate::plan::{Planned, Planner, Purpose};
+use crate::plan::{Moved, Planned, Planner, Purpose};
 
 /// What became of a program.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -44,8 +44,8 @@ pub struct Summary {
 /// Longest line that is read, bytes.
 const LONGEST_LINE: usize = 1 << 16;
 
-/// Moves that are planned together.
-const TOGETHER: usize = 512;
+/// Lines that are planned together: few enough that their memory stays with the process and in the cache.
+const TOGETHER: usize = 128;
 
 /// Corrects a program: reads `source` to its end and writes the corrected text to `out`. `build` gives the machine with a tool of a
 /// length, that of the calibration without one.
@@ -98,6 +98,7 @@ pub(crate) fn run(
         moves: Vec::new(),
         summary: Summary::default(),
         is_marked: false,
+        has_told_system: false,
         frame: None,
     };
     let mut lines = Lines::new(source, options);
@@ -154,6 +155,8 @@ struct Run<'a, 'b> {
     moves: Vec<Box<Move>>,
     summary: Summary,
     is_marked: bool,
+    /// Whether it was told that no work offset is named.
+    has_told_system: bool,
     /// In which coordinates, and with which tool, the last move was.
     frame: Option<(Space, Rc<Machine>)>,
 }
@@ -184,7 +187,7 @@ impl Run<'_, '_> {
                     *own == space && (space == Space::Joints || Rc::ptr_eq(machine, &self.reader.modal.machine))
                 };
                 let stays = self.frame.as_ref().is_some_and(is_same);
-                self.planner.jumped(&at, if stays { &moved } else { &[true; 9] });
+                self.planner.jumped(&at, if stays { &moved } else { &[Moved::To; 9] });
                 self.frame = Some((space, Rc::clone(&self.reader.modal.machine)));
             }
             Action::Move(_) if self.is_perfect => {
@@ -223,6 +226,12 @@ impl Run<'_, '_> {
             self.summary.remarks.push(text);
         }
         (modal.has_unit, modal.has_distance) = (true, true);
+        // Other controls begin with G54; here it is a parameter, and often none acts (G500).
+        if dialect == Dialect::Siemens && modal.uses_unnamed_system && !self.has_told_system {
+            self.has_told_system = true;
+            let text = format!("Line {number}: no work offset (G54, .., G500) is named before this move; G54 counts");
+            self.summary.remarks.push(text);
+        }
     }
 
     /// Another tool, or other coordinates: where the axes stand is told in them.
@@ -263,6 +272,7 @@ impl Run<'_, '_> {
             number.map_or_else(|| error.clone(), |number| error.clone().at(&self.options.file, *number, None))
         })?;
         let mut planned = planned.into_iter();
+        let mut text = Vec::new();
         for (waiting, number) in std::mem::take(&mut self.waiting) {
             match waiting {
                 Waiting::Text(text, motion) => {
@@ -271,7 +281,7 @@ impl Run<'_, '_> {
                 }
                 Waiting::Move(line) => {
                     let Some(own) = planned.next() else { continue };
-                    let mut text = Vec::new();
+                    text.clear();
                     self.emitter.lines(&own, &line, &mut text);
                     self.count(&own, number);
                     (self.keep)(Some(&own), &text, number)?;

@@ -33,6 +33,12 @@ fn is_free(out: &Path) -> Result<()> {
         return Err(Error::data(format!("{} is there already and not empty", out.display()))
             .help("move it away, or name another folder"));
     }
+    // The new folder takes the place of an empty one, and whoever works in that one would be nowhere.
+    let is_here = || Some(fs::canonicalize(out).ok()? == fs::canonicalize(std::env::current_dir().ok()?).ok()?);
+    if is_here() == Some(true) {
+        return Err(Error::data(format!("{} is the folder that this command runs in", out.display()))
+            .help("name a new folder in it"));
+    }
     Ok(())
 }
 

@@ -6,6 +6,7 @@
 //! virtual machine instead.
 
 mod check;
+mod circles;
 mod described;
 mod evidence;
 mod folder;
@@ -30,6 +31,7 @@ mod run;
 mod saved;
 mod simulate;
 mod staging;
+mod statuses;
 mod travel;
 mod understood;
 mod units;

@@ -190,9 +190,10 @@ pub(crate) fn parent(place: &Path) -> &Path {
     place.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// The folder that is written where `named` stands: that to which a link leads.
+/// The folder that is written where `named` stands: that to which a link leads, with or without a slash or `/.` at its end.
 pub(crate) fn real(named: &Path) -> PathBuf {
-    fs::canonicalize(named).ok().filter(|_| named.is_symlink()).unwrap_or_else(|| named.to_owned())
+    let named: PathBuf = named.components().collect();
+    fs::canonicalize(&named).ok().filter(|_| named.is_symlink()).unwrap_or(named)
 }
 
 /// Bytes of a name that are left of it in one beside it: disks take 255.

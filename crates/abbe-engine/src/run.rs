@@ -21,8 +21,9 @@ use crate::readings::has_readings;
 use crate::record::{FileRecord, Remark, input_records};
 use crate::row_settings::Wanted;
 use crate::saved::fit_without_rows;
+use crate::statuses;
 use crate::travel::{check_travel, in_travel};
-use crate::units::{likely_fahrenheit, tell_minutes};
+use crate::units::{doubts, tell_minutes};
 
 /// What is known before the first fit.
 struct Known<'a> {
@@ -227,13 +228,18 @@ impl Prepared {
         let calibration = match stage.estimate_source {
             EstimateSource::Measurements | EstimateSource::Analysis | EstimateSource::Readings => {
                 let mut fit = self.fit(stage, self.located(stage, start(stage, problem.clone(), fits))?)?;
-                let known = named(stage.reference("known"), fits);
-                known.iter().for_each(|known| fit.calibration.keep_limits_of_known(&known.calibration));
+                for known in named(stage.reference("known"), fits) {
+                    fit.calibration.keep_limits_of_known(&known.calibration);
+                    statuses::join(&mut fit.calibration.fit.statuses, &known.calibration.fit.statuses);
+                }
                 return Ok(fit);
             }
             EstimateSource::Calibration => Ok(self.saved[&stage.name].calibration.clone()),
             EstimateSource::Statement => estimator.explain(problem),
-            EstimateSource::Combination => estimator.combine(problem, &named(stage.reference("of"), fits)),
+            EstimateSource::Combination => {
+                let of = named(stage.reference("of"), fits);
+                estimator.combine(problem, &of).map(|combined| statuses::with_those_of(combined, &of))
+            }
         };
         let fit = |calibration| fit_without_rows(calibration, problem.model.clone(), estimator);
         self.located(stage, calibration.and_then(fit))
@@ -244,7 +250,8 @@ impl Prepared {
         tracing::info!("{}: {} equations, {} unknowns", stage.name, problem.equations(), problem.unknowns.len());
         remarks(&problem).iter().chain(&copies(&problem)).for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
         let explained = estimator.explain(&problem).map_err(|error| self.with_mistakes(stage, &problem, error));
-        let calibration = self.located(stage, explained)?;
+        let mut calibration = self.located(stage, explained)?;
+        calibration.fit.statuses = statuses::of_problem(&problem);
         self.located(stage, check_uncertainties(&calibration))?;
         // Later users of the problem get the rows with the uncertainties that the fit used.
         let factor = |set: &ObservationSet| {
@@ -263,6 +270,7 @@ impl Prepared {
         let mut calibration =
             self.located(stage, self.estimators[&stage.name].analyse(&watched(fit, monitor.of_stage(&stage.name))))?;
         calibration.estimate = stage.name.clone();
+        calibration.fit.statuses.clone_from(&fit.calibration.fit.statuses);
         let (problem, estimator) = (fit.problem.clone(), fit.estimator.clone());
         Ok(Fit { name: stage.name.clone(), problem, estimator, calibration })
     }
@@ -291,7 +299,7 @@ impl Prepared {
                 Some((_, made)) => made.clone(),
                 None => Arc::new(self.located(stage, self.ingests[&stage.name].read())?),
             };
-            likely_fahrenheit(&read).iter().for_each(|told| tracing::warn!("{}: {told}", stage.name));
+            doubts(&read).iter().for_each(|told| tracing::warn!("{}: {told}", stage.name));
             data.insert(stage.name.clone(), read);
         }
         Ok(data)

@@ -3,6 +3,8 @@
 use abbe_core::ranges::AT_REST;
 use abbe_core::{Dataset, Quantity};
 
+use crate::circles::contradicted_angles;
+
 /// How far a sensor in °F is from the others at most, once it is converted, K: parts of a machine at rest.
 const ALIKE: f64 = 8.0;
 
@@ -12,8 +14,13 @@ const COVERED: f64 = 0.5;
 /// Seconds in a minute.
 const MINUTE: f64 = 60.0;
 
+/// What is doubtful in the columns of a data set, in words.
+pub(crate) fn doubts(data: &Dataset) -> Vec<String> {
+    [likely_fahrenheit(data), likely_turned(data), contradicted_angles(data)].into_iter().flatten().collect()
+}
+
 /// Columns of temperatures that begin as no machine at rest does, and would if they were in °F, in words.
-pub(crate) fn likely_fahrenheit(data: &Dataset) -> Option<String> {
+fn likely_fahrenheit(data: &Dataset) -> Option<String> {
     let columns = data.columns.iter().filter(|column| column.header.quantity == Quantity::Temperature);
     let first = |name: &str| data.numbers(name)?.iter().copied().find(|value| value.is_finite());
     let firsts: Vec<(&str, f64)> =
@@ -38,6 +45,26 @@ pub(crate) fn likely_fahrenheit(data: &Dataset) -> Option<String> {
         "{name} begins at {value:.1} °C, and the other temperatures at {middle:.1} °C: is it in °F? {value:.1} °F are {:.1} °C",
         celsius(*value)
     ))
+}
+
+/// How much colder than all others a sensor below zero is at least, K.
+const COLDER: f64 = 20.0;
+
+/// A sensor that begins below zero while all others begin as a machine at rest does, in words.
+fn likely_turned(data: &Dataset) -> Option<String> {
+    let columns = data.columns.iter().filter(|column| column.header.quantity == Quantity::Temperature);
+    let first = |name: &str| data.numbers(name)?.iter().copied().find(|value| value.is_finite());
+    let firsts = columns.filter_map(|column| Some((column.header.name.as_str(), first(&column.header.name)?)));
+    let (cold, others): (Vec<_>, Vec<_>) = firsts.partition(|(_, value)| *value < 0.0);
+    let [least, most] = ends(&others.iter().map(|(_, value)| *value).collect::<Vec<f64>>())?;
+    let [(name, value)] = cold[..] else { return None };
+    let is_odd = AT_REST.contains(&least) && AT_REST.contains(&most) && value < least - COLDER;
+    is_odd.then(|| {
+        format!(
+            "{name} begins at {value:.1} °C, and the other temperatures from {least:.1} to {most:.1} °C: is the sensor broken, or is its \
+             sign turned?"
+        )
+    })
 }
 
 fn celsius(fahrenheit: f64) -> f64 {
@@ -93,6 +120,32 @@ mod tests {
 
     fn table(text: &str) -> Dataset {
         abbe_table::parse(std::path::Path::new("a.csv"), text.as_bytes()).expect("a table")
+    }
+
+    #[test]
+    fn a_sensor_below_zero_beside_warm_ones_is_told() {
+        for seed in 0..500 {
+            let mut random = Random(seed);
+            let room = 12.0 + 30.0 * random.part();
+            let firsts: Vec<f64> = (0..4).map(|_| room + 4.0 * (random.part() - 0.5)).collect();
+            let told = |values: &[f64]| {
+                let row =
+                    |by: f64| values.iter().map(|value| format!("{:.3}", value + by)).collect::<Vec<_>>().join(",");
+                likely_turned(&table(&format!(
+                    "time_s,Ta_degC,Tb_degC,Tc_degC,Td_degC\n0,{}\n60,{}\n",
+                    row(0.0),
+                    row(5.0)
+                )))
+            };
+            assert_eq!(told(&firsts), None);
+            let of = |value: f64| [&firsts[..2], &[value], &firsts[3..]].concat();
+            assert!(told(&of(-firsts[2])).is_some_and(|told| told.starts_with("Tc begins at -")), "{firsts:?}");
+            // Cool water, and a warm spindle.
+            assert_eq!(told(&of(4.0)), None);
+            assert_eq!(told(&of(80.0)), None);
+        }
+        // A cold hall, all of it.
+        assert_eq!(likely_turned(&table("time_s,Ta_degC,Tb_degC\n0,-2,-1\n60,-1,0\n")), None);
     }
 
     /// Rooms from 12 to 45 °C, and machines that are some kelvin warmer, in both units.

@@ -178,6 +178,7 @@ impl UncertaintyEvaluation {
             equivalent_motion_errors: if self.explained { equivalent_motion_errors(problem)? } else { Vec::new() },
             variance: components.map_or_else(Vec::new, |found| found.named(problem)),
             agreement: None,
+            statuses: BTreeMap::new(),
             known_degrees_of_freedom: BTreeMap::new(),
         };
         let mut calibration = calibration(problem, &x, propagation.covariance(problem), outliers, fit);

@@ -171,7 +171,7 @@ impl History {
     }
 
     fn stored(&self, statement: &str, given: &[Cell]) -> Result<Vec<(i64, Stored)>> {
-        parsed(self.lines(statement, given)?)
+        self.parsed(self.lines(statement, given)?)
     }
 
     fn lines(&self, statement: &str, given: &[Cell]) -> Result<Vec<Line>> {
@@ -184,6 +184,26 @@ impl History {
             read().ok_or_else(|| self.damaged("its calibrations cannot be read"))
         };
         self.rows(statement, given)?.into_iter().map(line).collect()
+    }
+
+    /// The calibrations of lines, in their order. To read the texts is most of the work: all processors share it.
+    fn parsed(&self, lines: Vec<Line>) -> Result<Vec<(i64, Stored)>> {
+        let threads = std::thread::available_parallelism().map_or(1, usize::from);
+        let share = lines.len().div_ceil(threads).max(SHARE);
+        let shares: Vec<&[Line]> = lines.chunks(share).collect();
+        let one = |line: &Line| Calibration::from_json(&line.content).map_err(|error| (line.entry, error));
+        let read = |lines: &&[Line]| lines.iter().map(one).collect();
+        let read: std::result::Result<Vec<Vec<Calibration>>, _> =
+            in_parallel(&shares, None, read).into_iter().collect();
+        let calibrations = read.map_err(|(entry, error)| {
+            let error = self.damaged(&format!("a calibration of entry {entry}: {}", error.message));
+            error.help("take it from a copy of the history, or add its results to a new one")
+        })?;
+        let stored = |(line, calibration): (Line, Calibration)| {
+            let Line { entry, machine, label, at, unit, .. } = line;
+            (entry, Stored { machine, label, at, unit, calibration })
+        };
+        Ok(lines.into_iter().zip(calibrations.into_iter().flatten()).map(stored).collect())
     }
 
     /// An entry as it was added; none if there is no entry of this number.
@@ -207,7 +227,7 @@ impl History {
         }
         Ok(Some(Entry {
             recipe,
-            calibrations: parsed(lines)?.into_iter().map(|(_, stored)| stored).collect(),
+            calibrations: self.parsed(lines)?.into_iter().map(|(_, stored)| stored).collect(),
             verdicts: serde_json::from_value(verdicts).map_err(damaged)?,
             evidence,
         }))
@@ -226,20 +246,6 @@ struct Line {
 
 /// Lines of one thread at least: to start one takes longer than to read a few.
 const SHARE: usize = 16;
-
-/// The calibrations of lines, in their order. To read the texts is most of the work: all processors share it.
-fn parsed(lines: Vec<Line>) -> Result<Vec<(i64, Stored)>> {
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let share = lines.len().div_ceil(threads).max(SHARE);
-    let shares: Vec<&[Line]> = lines.chunks(share).collect();
-    let read = |lines: &&[Line]| lines.iter().map(|line| Calibration::from_json(&line.content)).collect();
-    let calibrations = in_parallel(&shares, None, read).into_iter().collect::<Result<Vec<Vec<Calibration>>>>()?;
-    let stored = |(line, calibration): (Line, Calibration)| {
-        let Line { entry, machine, label, at, unit, .. } = line;
-        (entry, Stored { machine, label, at, unit, calibration })
-    };
-    Ok(lines.into_iter().zip(calibrations.into_iter().flatten()).map(stored).collect())
-}
 
 #[cfg(test)]
 mod tests;

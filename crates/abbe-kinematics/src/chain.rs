@@ -109,6 +109,7 @@ pub struct Evaluation {
     pub by_command: Vec<Vector3<f64>>,
     /// d(rotation vector)/d(command) of every axis.
     pub turn_by_command: Vec<Vector3<f64>>,
+    /// Where errors act; empty if no derivatives are wanted.
     slots: Vec<Slot>,
     /// Direction of the motion of every axis and the point it turns about, bed coordinates, per unit of command.
     motions: Vec<(Vector3<f64>, Vector3<f64>)>,
@@ -202,15 +203,14 @@ impl Frame {
         Self { directions: Directions::SAME, origin: Vector3::zeros(), nominal: Vector3::zeros(), sign }
     }
 
-    /// Applies errors to the frame, and records the slot where they act.
-    fn err(&mut self, errors: &Errors, slot: &mut Slot) {
+    /// Applies errors to the frame, and records the slot where they act if that is wanted.
+    fn err(&mut self, errors: &Errors, slot: Option<&mut Slot>) {
         let [x, y, z] = self.directions.0;
-        // Field by field, because assigning a whole slot would copy it.
-        (slot.frame, slot.about, slot.sign) = (self.directions, [x, y], self.sign);
         if errors[..3] != [0.0; 3] {
             self.origin += self.directions.outwards(&Vector3::new(errors[0], errors[1], errors[2]));
         }
-        slot.origin = self.origin;
+        let mut about = [x, y];
+        let frame = self.directions;
         if errors[3..] != [0.0; 3] {
             let ((sin_a, cos_a), (sin_b, cos_b), (sin_c, cos_c)) =
                 (sin_cos(errors[3]), sin_cos(errors[4]), sin_cos(errors[5]));
@@ -218,8 +218,12 @@ impl Frame {
             let (about_z_x, about_z_y) = (x * cos_c + y * sin_c, y * cos_c - x * sin_c);
             let (about_y_x, about_y_z) = (about_z_x * cos_b - z * sin_b, z * cos_b + about_z_x * sin_b);
             let (about_x_y, about_x_z) = (about_z_y * cos_a + about_y_z * sin_a, about_y_z * cos_a - about_z_y * sin_a);
-            slot.about = [about_y_x, about_z_y];
+            about = [about_y_x, about_z_y];
             self.directions = Directions([about_y_x, about_x_y, about_x_z]);
+        }
+        if let Some(slot) = slot {
+            // Field by field, because assigning a whole slot would copy it.
+            (slot.frame, slot.about, slot.origin, slot.sign) = (frame, about, self.origin, self.sign);
         }
     }
 
@@ -302,14 +306,14 @@ impl Chain {
                 frame.nominal = axis.point;
             }
             let (location, motion) = (self.location_slot(index), self.motion_slot(index));
-            frame.err(&errors[location], &mut out.slots[location]);
+            frame.err(&errors[location], out.slots.get_mut(location));
             match axis.error_frame {
                 ErrorFrame::Moving => {
                     out.motions[index] = frame.command(axis, commands[index]);
-                    frame.err(&errors[motion], &mut out.slots[motion]);
+                    frame.err(&errors[motion], out.slots.get_mut(motion));
                 }
                 ErrorFrame::Fixed => {
-                    frame.err(&errors[motion], &mut out.slots[motion]);
+                    frame.err(&errors[motion], out.slots.get_mut(motion));
                     out.motions[index] = frame.command(axis, commands[index]);
                 }
             }
@@ -326,15 +330,16 @@ impl Chain {
         derivatives: Derivatives<'_>,
         out: &mut Evaluation,
     ) {
-        out.slots.resize(self.slots(), Slot::default());
+        let recorded = if derivatives == Derivatives::None { 0 } else { self.slots() };
+        out.slots.resize(recorded, Slot::default());
         out.motions.resize(self.axes.len(), (Vector3::zeros(), Vector3::zeros()));
         let mut workpiece = Frame::bed(-1.0);
         self.walk(&self.workpiece, &mut workpiece, commands, errors, out);
-        workpiece.err(&errors[self.workpiece_slot()], &mut out.slots[self.workpiece_slot()]);
+        workpiece.err(&errors[self.workpiece_slot()], out.slots.get_mut(self.workpiece_slot()));
         let mut tool = Frame::bed(1.0);
         self.walk(&self.tool, &mut tool, commands, errors, out);
         tool.origin += tool.directions.outwards(tip);
-        tool.err(&errors[self.tool_slot()], &mut out.slots[self.tool_slot()]);
+        tool.err(&errors[self.tool_slot()], out.slots.get_mut(self.tool_slot()));
 
         let table = workpiece.directions;
         out.position = table.inwards(&(tool.origin - workpiece.origin));
@@ -348,7 +353,9 @@ impl Chain {
     /// The difference to [`evaluate`](Self::evaluate) is the linearisation error; it decreases with the square of the errors.
     pub fn first_order(&self, commands: &[f64], errors: &[Errors], tip: &Vector3<f64>) -> Vector3<f64> {
         let mut nominal = Evaluation::default();
-        self.evaluate(commands, &vec![[0.0; 6]; self.slots()], tip, Derivatives::None, &mut nominal);
+        let recorded = vec![false; self.slots()];
+        let of = Derivatives::OfPosition(&recorded);
+        self.evaluate(commands, &vec![[0.0; 6]; self.slots()], tip, of, &mut nominal);
         let tool = nominal.slots[self.tool_slot()];
         let frame_of = |slot: &Slot| Matrix3::from_columns(&slot.frame.0);
         let to_tool = frame_of(&tool).transpose();

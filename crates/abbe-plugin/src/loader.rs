@@ -116,7 +116,7 @@ pub(crate) fn truncated(bytes: &[u8]) -> bool {
         let (size, count) = (number(0x36, 2)?, number(0x38, 2)?);
         let segment = |index: u64| {
             let at = segments.checked_add(index * size)?;
-            Some(fits(number(at + 8, 8)?, number(at + 32, 8)?))
+            Some(fits(number(at.checked_add(8)?, 8)?, number(at.checked_add(32)?, 8)?))
         };
         Some(sections_fit && (0..count).all(|index| segment(index) == Some(true)))
     };
@@ -332,5 +332,22 @@ impl Library {
             })?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A table of segments that would lie beyond all numbers.
+    #[test]
+    fn heads_that_point_beyond_all_numbers_are_those_of_no_whole_file() {
+        for start in [u64::MAX, u64::MAX - 7, u64::MAX - 31, u64::MAX / 2] {
+            let mut bytes = vec![0; 120];
+            bytes[..6].copy_from_slice(b"\x7fELF\x02\x01");
+            bytes[0x20..0x28].copy_from_slice(&start.to_le_bytes());
+            bytes[0x38] = 1;
+            assert!(truncated(&bytes), "{start}");
+        }
     }
 }

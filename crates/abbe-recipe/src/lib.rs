@@ -384,7 +384,7 @@ impl<'a> Head<'a> {
             if kind == Kind::Model && key == "file" {
                 origin.file = Some(read_description(&node, base)?);
             } else if kind == Kind::Estimate && key == "parameters" {
-                let patterns = sets.expand(None, node.list()?)?;
+                let patterns = sets.expand(node.list()?)?;
                 let texts = patterns.iter().map(|pattern| pattern.text().map(str::to_owned));
                 parameters = texts.collect::<Result<_, _>>()?;
                 let places = patterns.into_iter().map(|pattern| pattern.path).collect();

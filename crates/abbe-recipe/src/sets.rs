@@ -20,18 +20,59 @@ impl<'a> Sets<'a> {
             patterns.iter().try_for_each(|pattern| pattern.text().map(drop))?;
             sets.0.insert(name, patterns);
         }
-        for (name, _) in entries {
-            sets.expand(Some(name), sets.0[name].clone())?;
-        }
+        sets.check(entries.iter().map(|(name, _)| *name))?;
         Ok(sets)
     }
 
-    /// The patterns of a list (that of the set `name`, if it is one) with sets in place of their names, each once.
-    pub fn expand(&self, name: Option<&'a str>, list: Vec<Node<'a>>) -> Result<Vec<Node<'a>>, Error> {
+    /// Refuses unknown sets, and sets that include each other in a circle. Each set is looked at once.
+    fn check(&self, names: impl Iterator<Item = &'a str>) -> Result<(), Error> {
+        // Whether a set is done; those that are not are open.
+        let mut done: BTreeMap<&str, bool> = BTreeMap::new();
+        for name in names {
+            if done.insert(name, false) == Some(true) {
+                done.insert(name, true);
+                continue;
+            }
+            let mut open = vec![(name, self.0[name].iter())];
+            while let Some((name, nodes)) = open.last_mut() {
+                let Some(node) = nodes.next() else {
+                    done.insert(name, true);
+                    open.pop();
+                    continue;
+                };
+                let Some(other) = node.value.as_str().and_then(|text| text.strip_prefix('@')) else { continue };
+                let set = self.named(other, node)?;
+                match done.get(other) {
+                    Some(true) => {}
+                    Some(false) => {
+                        let names = open.iter().map(|(name, _)| *name).skip_while(|name| *name != other);
+                        let circle = names.chain([other]).collect::<Vec<_>>().join(" -> ");
+                        return Err(node.error(At::Value, format!("the sets include each other in a circle: {circle}")));
+                    }
+                    None => {
+                        done.insert(other, false);
+                        open.push((other, set.iter()));
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The set that an entry of a list names.
+    fn named(&self, name: &str, node: &Node<'a>) -> Result<&Vec<Node<'a>>, Error> {
+        self.0.get(name).ok_or_else(|| {
+            let error = node.error(At::Value, format!("there is no set `{name}`"));
+            error.suggest(name, self.0.keys().copied())
+        })
+    }
+
+    /// The patterns of a list with sets in place of their names, each once.
+    pub fn expand(&self, list: Vec<Node<'a>>) -> Result<Vec<Node<'a>>, Error> {
         let mut expanded = Vec::new();
         let mut seen = BTreeSet::new();
-        let mut open = vec![(name, list.into_iter())];
-        while let Some((_, nodes)) = open.last_mut() {
+        let mut open = vec![list.into_iter()];
+        while let Some(nodes) = open.last_mut() {
             let Some(node) = nodes.next() else {
                 open.pop();
                 continue;
@@ -40,23 +81,13 @@ impl<'a> Sets<'a> {
                 expanded.push(node); // not a pattern: the plugin will say so
                 continue;
             };
-            let Some(other) = text.strip_prefix('@') else {
+            if let Some(name) = text.strip_prefix('@') {
+                let set = self.named(name, &node)?;
                 if seen.insert(text) {
-                    expanded.push(node);
+                    open.push(set.clone().into_iter());
                 }
-                continue;
-            };
-            let Some(set) = self.0.get(other) else {
-                let error = node.error(At::Value, format!("there is no set `{other}`"));
-                return Err(error.suggest(other, self.0.keys().copied()));
-            };
-            if let Some(start) = open.iter().position(|(name, _)| *name == Some(other)) {
-                let names: Vec<&str> = open[start..].iter().filter_map(|(name, _)| *name).chain([other]).collect();
-                let circle = names.join(" -> ");
-                return Err(node.error(At::Value, format!("the sets include each other in a circle: {circle}")));
-            }
-            if seen.insert(text) {
-                open.push((Some(other), set.clone().into_iter()));
+            } else if seen.insert(text) {
+                expanded.push(node);
             }
         }
         Ok(expanded)
@@ -81,7 +112,7 @@ pub(crate) fn with_sets<'a>(
             let nodes = match list.iter().any(names_set) {
                 false => node.list()?,
                 true => {
-                    let nodes = sets.expand(None, node.list()?)?;
+                    let nodes = sets.expand(node.list()?)?;
                     expanded.push((path.clone(), nodes.iter().map(|node| node.path.clone()).collect()));
                     nodes
                 }

@@ -276,6 +276,9 @@ pub struct FitReport {
     /// The covariance as if residuals were independent, where that of the calibration is another one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ordinary_covariance: Option<NamedCovariance>,
+    /// Smallest and largest load (N), temperature (°C) and the like of the rows, by the names of their columns.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub statuses: BTreeMap<String, [f64; 2]>,
     /// Degrees of freedom of parameters that were known from an earlier estimate, where they are finite.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub known_degrees_of_freedom: BTreeMap<String, f64>,
@@ -313,6 +316,7 @@ impl FitReport {
             variance: Vec::new(),
             agreement: None,
             ordinary_covariance: None,
+            statuses: BTreeMap::new(),
             known_degrees_of_freedom: BTreeMap::new(),
         }
     }

@@ -54,3 +54,37 @@ pub fn in_parallel<T: Sync, R: Send>(items: &[T], threads: Option<usize>, work: 
     });
     results.into_iter().filter_map(|result| result.into_inner().unwrap_or_else(PoisonError::into_inner)).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Tells the process of this test that it is the one without threads.
+    const ALONE: &str = "ABBE_TEST_WITHOUT_THREADS";
+
+    /// A process that asks for a stack which no machine has room for can make no thread.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn without_threads_the_calling_one_does_all() {
+        let items: Vec<usize> = (0..1000).collect();
+        let squares = in_parallel(&items, Some(4), |item| item * item);
+        assert!(squares.iter().enumerate().all(|(item, square)| *square == item * item) && squares.len() == 1000);
+        if std::env::var_os(ALONE).is_some() {
+            assert!(std::thread::Builder::new().spawn(|| ()).is_err(), "threads can be made");
+            return;
+        }
+        let name = "parallel::tests::without_threads_the_calling_one_does_all";
+        let output = std::process::Command::new(std::env::current_exe().expect("this program"))
+            .args([name, "--exact", "--test-threads=1"])
+            .env(ALONE, "1")
+            .env("RUST_MIN_STACK", (1_u64 << 46).to_string())
+            .output()
+            .expect("it starts");
+        let text = String::from_utf8_lossy(&output.stdout);
+        assert!(
+            output.status.success() && text.contains("1 passed"),
+            "{text}{}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+    }
+}

@@ -2,7 +2,7 @@
 
 use std::io::{Read, Write};
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use abbe_core::{Error, Result};
@@ -47,6 +47,10 @@ pub fn pdf(page: &str) -> Result<Vec<u8>> {
     command.arg(format!("--user-data-dir={}", profile.display()));
     command.arg(format!("--print-to-pdf={}", paper.display()));
     command.arg(format!("file://{}", source.display()));
+    // What it keeps elsewhere than in its profile goes with the folder, too.
+    command.env("TMPDIR", folder.path());
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(&mut command, 0);
     let told = std::fs::File::create(&log).map_err(failed)?;
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(told);
     let mut browser = command
@@ -58,11 +62,11 @@ pub fn pdf(page: &str) -> Result<Vec<u8>> {
             break status;
         }
         if interrupt::happened() {
-            let _ = browser.kill().and_then(|()| browser.wait());
+            end(&mut browser);
             return Err(Error::interrupted());
         }
         if began.elapsed() > LONGEST {
-            let _ = browser.kill().and_then(|()| browser.wait());
+            end(&mut browser);
             let seconds = LONGEST.as_secs();
             return Err(Error::data(format!("the browser `{name}` did not print the page within {seconds} s")));
         }
@@ -79,6 +83,14 @@ pub fn pdf(page: &str) -> Result<Vec<u8>> {
     }
 }
 
+/// Ends the browser with all that it has started, which would write into its folder while that is removed.
+fn end(browser: &mut Child) {
+    #[cfg(unix)]
+    let _ =
+        rustix::process::kill_process_group(rustix::process::Pid::from_child(browser), rustix::process::Signal::KILL);
+    let _ = browser.kill().and_then(|()| browser.wait());
+}
+
 fn help() -> String {
     format!("install Chromium (Debian: `apt-get install chromium`), or name a browser of its kind in {VARIABLE}")
 }
@@ -88,12 +100,18 @@ fn program() -> Result<String> {
     if let Some(name) = std::env::var(VARIABLE).ok().filter(|name| !name.is_empty()) {
         return Ok(name);
     }
-    let answers = |name: &&str| {
-        let asked = Command::new(name).arg("--version").stdin(Stdio::null()).output();
-        asked.is_ok_and(|output| output.status.success())
-    };
-    let found = NAMES.into_iter().find(answers).map(str::to_owned);
-    found.ok_or_else(|| Error::usage("there is no browser that prints the page as PDF").help(help()))
+    let mut why = None;
+    for name in NAMES {
+        match Command::new(name).arg("--version").stdin(Stdio::null()).output() {
+            Ok(answer) if answer.status.success() => return Ok(name.to_owned()),
+            Ok(answer) => why = why.or_else(|| Some(format!("`{name}` does not start here ({})", answer.status))),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+            Err(error) => why = why.or_else(|| Some(format!("`{name}` does not start here: {error}"))),
+        }
+    }
+    // What is installed may not start where processes, files or memory are limited.
+    let why = why.unwrap_or_else(|| "there is no browser that prints the page as PDF".to_owned());
+    Err(Error::usage(why).help(help()))
 }
 
 /// Whether a folder that was just made belongs to root.

@@ -4,8 +4,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use abbe_compensation::{Temperatures, check_no_drift, follows_log};
-use abbe_core::{AxisKind, Branch, Build, Calibration, Context, Error, Kind, KinematicModel, Poses, Registry, Result};
+use abbe_compensation::{Temperatures, check_no_drift, extrapolated, follows_log};
+use abbe_core::{
+    AxisKind, Branch, Build, Calibration, Context, Error, Kind, KinematicModel, Poses, Quantity, Registry, Result,
+};
 use abbe_engine::{RunRecord, model_with_log};
 use abbe_files::{LARGEST_RESULT, read_text};
 use clap::Args;
@@ -70,6 +72,15 @@ impl Asked {
 
     /// Reads the calibration and builds its model.
     pub fn read(&self, registry: &Registry) -> Result<Known> {
+        self.read_for(registry, true)
+    }
+
+    /// The same for a program, which has tools of its own.
+    pub fn read_for_program(&self, registry: &Registry) -> Result<Known> {
+        self.read_for(registry, false)
+    }
+
+    fn read_for(&self, registry: &Registry, of_own_tool: bool) -> Result<Known> {
         let file = &self.calibration;
         let calibration = read(file)?;
         check_as_written(file)?;
@@ -89,6 +100,7 @@ impl Asked {
         };
         if let Some(machine) = &self.machine {
             check_machine(model.as_ref(), &calibration, file, machine, registry)?;
+            tell_tool_and_travel(model.as_ref(), &calibration, machine, of_own_tool)?;
         }
         tell_unknown_travel(model.as_ref());
         Ok(Known { calibration, model, time, log })
@@ -238,6 +250,50 @@ fn check_machine(
     Ok(())
 }
 
+/// Says where the tool and the travels of a calibration are not those of a machine file: a recipe may have set others, or it is another
+/// machine of the same kind.
+fn tell_tool_and_travel(
+    model: &dyn KinematicModel,
+    calibration: &Calibration,
+    machine: &Path,
+    of_own_tool: bool,
+) -> Result<()> {
+    let described = abbe_recipe::machine_description(machine)?;
+    let length = |settings: &Value| settings.get("tool_length_mm").and_then(Value::as_f64);
+    if let (Some(own), Some(other)) = (length(&calibration.model.settings), length(&described))
+        && of_own_tool
+        && (own - other).abs() > SAME_LENGTH
+    {
+        tracing::warn!(
+            "the tool of the calibration is {own} mm long, that of {} is {other} mm: is it the machine and the tool of this calibration?",
+            machine.display()
+        );
+    }
+    for axis in &model.info().axes {
+        let (key, factor, unit) = match axis.kind {
+            AxisKind::Linear => ("range_mm", 1.0, "mm"),
+            AxisKind::Rotary => ("range_deg", 1_f64.to_degrees(), "°"),
+        };
+        let ends = described.get("axes").and_then(|axes| axes.get(&axis.name)?.get(key)?.as_array());
+        let ends: Option<Vec<f64>> = ends.and_then(|ends| ends.iter().map(Value::as_f64).collect());
+        let (Some(own), Some([from, to])) = (axis.range, ends.as_deref()) else { continue };
+        let own = own.map(|end| (end * factor * 1e6).round() / 1e6);
+        if (own[0] - from).abs() > SAME_LENGTH || (own[1] - to).abs() > SAME_LENGTH {
+            tracing::warn!(
+                "{} goes from {} to {} {unit} in the calibration, and from {from} to {to} {unit} in {}: is it this machine?",
+                axis.name,
+                own[0],
+                own[1],
+                machine.display()
+            );
+        }
+    }
+    Ok(())
+}
+
+/// Lengths and positions, mm and degrees, that are the same in a calibration and a machine file.
+const SAME_LENGTH: f64 = 1e-6;
+
 /// Distance of tips, mm, that is rounding of numbers in files.
 const SAME_TIP: f64 = 1e-6;
 
@@ -262,6 +318,38 @@ fn tips_apart(one: &dyn KinematicModel, other: &dyn KinematicModel) -> Result<f6
     let distance =
         |(one, other): ([f64; 3], [f64; 3])| (0..3).map(|axis| (one[axis] - other[axis]).powi(2)).sum::<f64>().sqrt();
     Ok(tips(one)?.into_iter().zip(tips(other)?).map(distance).fold(0.0, f64::max))
+}
+
+/// Errors of the set-up belong to one tool: tells so where a program has tools of its own.
+pub fn tell_tool(calibration: &Calibration, has_tools: bool) {
+    let own = ["dxt", "dyt", "dzt"].into_iter();
+    let set_up: Vec<&str> = own.filter(|name| calibration.get(name).is_some_and(|known| known.value != 0.0)).collect();
+    if has_tools && !set_up.is_empty() {
+        tracing::warn!(
+            "{} belong to the tool of the calibration, and are corrected for the tools of this program, too",
+            set_up.join(", ")
+        );
+    }
+}
+
+/// Tells, or refuses, loads and temperatures of a program that the calibration does not know ([`extrapolated`]).
+pub fn check_constants(known: &Known, constants: &[(String, (Quantity, f64))]) -> Result<()> {
+    let model = known.model.as_ref();
+    let value = |name: &str| {
+        let found = constants.iter().find(|(of, (quantity, _))| of == name && *quantity != Quantity::Label);
+        found.map_or(0.0, |(_, (_, value))| *value)
+    };
+    let mut status: Vec<f64> = model.info().status.iter().map(|column| value(&column.name)).collect();
+    // Somewhere within the travel: at zero many errors vanish.
+    for axis in &model.info().axes {
+        status[axis.status] = axis.range.map_or(0.1, |[from, to]| from + 0.63 * (to - from));
+    }
+    let told = extrapolated(model, &known.calibration, &status).map_err(|error| {
+        let message = format!("--constant: {}", error.message);
+        Error { message, pose: None, ..error }
+    })?;
+    told.iter().for_each(|(_, sentence)| tracing::warn!("--constant: {sentence}"));
+    Ok(())
 }
 
 /// Says which axes have no known travel: whether the machine was measured where it is asked for is then not known.

@@ -129,7 +129,7 @@ impl Compensate {
         }
         let settings = self.settings();
         settings.check().map_err(|wrong| Error::usage(wrong.to_string()))?;
-        let known = self.calibrated.read(registry)?;
+        let known = self.calibrated.read_for_program(registry)?;
         let asked = nc_program::Asked {
             options: &self.program,
             program: &self.setpoints,

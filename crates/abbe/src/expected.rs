@@ -4,7 +4,7 @@
 //! its standard uncertainty. That is the uncertainty from what the rows state, where the estimate tells it; without noise the
 //! one from residuals is rounding.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 
 use abbe_core::{Calibration, Error, Estimated, Result, Status, Unit};
@@ -83,6 +83,32 @@ impl Expected {
         for (name, content) in &self.0 {
             let _ = writeln!(text, "{name} = {}", content.text());
         }
+        text
+    }
+
+    /// The same with the remarks of the text that it replaces, each before what it stood before; what is gone leaves its remarks to what
+    /// comes next.
+    pub fn text_with_remarks(&self, recipe: &str, before: &str) -> String {
+        let mut remarks: Vec<&str> = Vec::new();
+        let mut of_entries: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+        let own: BTreeSet<&str> = self.0.iter().map(|(name, _)| name.as_str()).collect();
+        for line in before.lines().filter(|line| !line.starts_with(HEAD)) {
+            if line.starts_with('#') || line.is_empty() {
+                remarks.push(line);
+                continue;
+            }
+            let name = line.split_once(" = ").map_or(line, |(name, _)| name);
+            if line == FORMAT || own.contains(name) {
+                of_entries.insert(name, std::mem::take(&mut remarks));
+            }
+        }
+        let mut text = String::new();
+        for (index, line) in self.text(recipe).lines().enumerate() {
+            let name = line.split_once(" = ").map_or(line, |(name, _)| name);
+            let kept = if index == 0 { Vec::new() } else { of_entries.remove(name).unwrap_or_default() };
+            kept.into_iter().chain([line]).for_each(|line| text.extend([line, "\n"]));
+        }
+        remarks.into_iter().for_each(|line| text.extend([line, "\n"]));
         text
     }
 
@@ -398,6 +424,28 @@ mod tests {
             "`format 1` was expected in the first line that is no remark"
         );
         assert_eq!(Expected::read("format 1\nrun pass\n").unwrap_err().message, "line 2: `what = value` was expected");
+    }
+
+    #[test]
+    fn remarks_stay() {
+        let text = |content: &str| Content::Text(content.to_owned());
+        let before = of(&[("run", text("pass")), ("old", text("yes")), ("fit", text("yes")), ("last", text("yes"))]);
+        let head = before.text("a.yaml").lines().next().unwrap().to_owned();
+        let written = format!(
+            "{head}\n# By hand\n{FORMAT}\n# Why it passes\nrun = pass\n# Of the old\nold = yes\n\n# Of the fit = 1\nfit = yes\n\
+             last = yes\n# The end\n"
+        );
+        assert_eq!(Expected::read(&written).unwrap(), before);
+        let now = of(&[("run", text("fail")), ("new", text("yes")), ("fit", text("no")), ("last", text("yes"))]);
+        let expected = format!(
+            "{head}\n# By hand\n{FORMAT}\n# Why it passes\nrun = fail\nnew = yes\n# Of the old\n\n# Of the fit = 1\nfit = no\n\
+             last = yes\n# The end\n"
+        );
+        let kept = now.text_with_remarks("a.yaml", &written);
+        assert_eq!(kept, expected);
+        assert_eq!(Expected::read(&kept).unwrap(), now);
+        assert_eq!(now.text_with_remarks("a.yaml", &kept), kept);
+        assert_eq!(now.text_with_remarks("a.yaml", &now.text("a.yaml")), now.text("a.yaml"));
     }
 
     #[test]

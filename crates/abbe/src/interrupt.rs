@@ -47,17 +47,28 @@ impl TemporaryFolder {
 
 impl Drop for TemporaryFolder {
     fn drop(&mut self) {
+        remove(self.0.path());
         FOLDERS.lock().unwrap_or_else(PoisonError::into_inner).retain(|folder| folder != self.0.path());
+    }
+}
+
+/// How often, and how long after each other, a folder is removed into which something that is about to end may still write.
+const TRIES: usize = 10;
+const PAUSE: Duration = Duration::from_millis(20);
+
+fn remove(folder: &Path) {
+    for _ in 0..TRIES {
+        if std::fs::remove_dir_all(folder).is_ok() || !folder.exists() {
+            return;
+        }
+        std::thread::sleep(PAUSE);
     }
 }
 
 /// Removes temporary folders when the process ends before what made them. No other is made any more.
 fn clear_away() {
     let folders = FOLDERS.lock().unwrap_or_else(PoisonError::into_inner);
-    // What still runs may write into a folder while it is removed.
-    for folder in folders.iter() {
-        let _ = (0..3).find(|_| std::fs::remove_dir_all(folder).is_ok());
-    }
+    folders.iter().for_each(|folder| remove(folder));
     std::mem::forget(folders);
 }
 

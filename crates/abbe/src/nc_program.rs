@@ -11,14 +11,14 @@ use abbe_compensation::{Settings, Temperatures, check_confounded_anywhere};
 use abbe_controllers::{
     Checked, Coordinates, Dialect, Machine, Options, Summary, Tools, check, compensate, mark, place,
 };
-use abbe_core::{Calibration, Error, Quantity, Registry, Result, machine_values};
+use abbe_core::{Error, Quantity, Registry, Result, machine_values};
 use abbe_engine::{model_with_log, temporary_file};
 use abbe_files::{LARGEST_RESULT, read_text};
 use abbe_report::number::short;
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
-use crate::calibrated::{Known, counted};
+use crate::calibrated::{Known, check_constants, counted, tell_tool};
 use crate::interrupt;
 use crate::outputs::{cannot_be_written, is_file_name, is_free};
 use crate::written_out::{Origins, WrittenOut};
@@ -221,7 +221,9 @@ impl Asked<'_> {
         let text = read_text(self.calibration, LARGEST_RESULT).map_err(unreadable)?;
         let options = self.options.options(self.program, mark(text.as_bytes()))?;
         check_confounded_anywhere(known.model.as_ref(), &known.calibration, &BTreeMap::new())?;
-        tell_tool(&known.calibration, &options);
+        let has_tools = options.tools.only.is_some() || !options.tools.by_number.is_empty();
+        tell_tool(&known.calibration, has_tools);
+        check_constants(known, &self.options.constant)?;
         self.options.check_written_out(&options)?;
         let build = |length: Option<f64>| self.machine(known, registry, length);
         let is_there = self.out.is_some_and(|out| out.symlink_metadata().is_ok());
@@ -410,19 +412,6 @@ fn opened(file: &Path) -> Result<BufReader<File>> {
     opened
         .map(BufReader::new)
         .map_err(|error| Error::usage(format!("the program cannot be read: {error}")).in_file(file))
-}
-
-/// Errors of the set-up belong to one tool.
-fn tell_tool(calibration: &Calibration, options: &Options) {
-    let has_tools = options.tools.only.is_some() || !options.tools.by_number.is_empty();
-    let own = ["dxt", "dyt", "dzt"].into_iter();
-    let set_up: Vec<&str> = own.filter(|name| calibration.get(name).is_some_and(|known| known.value != 0.0)).collect();
-    if has_tools && !set_up.is_empty() {
-        tracing::warn!(
-            "{} belong to the tool of the calibration, and are corrected for the tools of this program, too",
-            set_up.join(", ")
-        );
-    }
 }
 
 fn is_within(checked: &Checked, options: &Options) -> bool {

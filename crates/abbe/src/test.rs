@@ -204,17 +204,18 @@ impl Test {
                 let unreadable =
                     |error: std::io::Error| Error::data(format!("the file cannot be read: {error}")).help(NEW);
                 let text = read_text(&file, LARGEST_TEXT).map_err(|error| unreadable(error).in_file(&file))?;
-                Some(Expected::read(&text).map_err(|error| error.in_file(&file))?)
+                Some((Expected::read(&text).map_err(|error| error.in_file(&file))?, text))
             }
             false => None,
         };
-        let differences = before.as_ref().map(|before| before.differences(&found, self.part));
+        let differences = before.as_ref().map(|(before, _)| before.differences(&found, self.part));
         if self.accept {
             let count = differences.as_ref().map_or(1, Vec::len);
             // A file that still holds is not touched, so that digits alone make no difference.
             if count > 0 {
                 let name = recipe.file_name().unwrap_or_default().to_string_lossy();
-                replace(&file, &found.text(&name))?;
+                let before = before.as_ref().map_or("", |(_, text)| text.as_str());
+                replace(&file, &found.text_with_remarks(&name, before))?;
             }
             return Ok(Ending::Accepted(count));
         }

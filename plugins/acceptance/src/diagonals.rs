@@ -115,6 +115,7 @@ impl Diagonals {
         let doubts = readings.faults(copied.is_some());
         findings.remarks.extend(copied);
         findings.remarks.extend(doubts.iter().map(|doubt| format!("{run}: {doubt}")));
+        findings.remarks.extend(readings.turned_run().map(|turned| format!("{run}: {turned}")));
         findings.remarks.extend(self.uncertainty.and_then(|stated| stated.quiet(&readings)));
         let terms = self.uncertainty.and_then(|stated| stated.terms(&readings));
         let expanded = terms.and_then(|terms| terms.expanded(readings.runs()));

@@ -58,7 +58,7 @@ pub struct Uncertainty {
     alpha_range_um_per_m_K: f64,
     /// How far the temperature is from 20 °C.
     offset_from_20_K: f64,
-    /// Range of the drift during the test, E_VE.
+    /// Range of the drift between two readings, E_VE.
     eve_range_um: f64,
     /// Of rotary axes.
     rotary: RotaryUncertainty,
@@ -71,7 +71,7 @@ pub struct Uncertainty {
 pub struct RotaryUncertainty {
     /// Expanded uncertainty (k = 2) of the device.
     device_U_urad: f64,
-    /// Range of the drift during the test, E_VE.
+    /// Range of the drift between two readings, E_VE.
     eve_range_urad: f64,
 }
 
@@ -179,6 +179,7 @@ impl Acceptance for Settings {
             let faults = readings.faults(copied.is_some());
             findings.remarks.extend(copied);
             findings.remarks.extend(faults.iter().map(|fault| format!("{}: {fault}", readings.name)));
+            findings.remarks.extend(readings.turned_run().map(|turned| format!("{}: {turned}", readings.name)));
             findings.remarks.extend(self.uncertainty.and_then(|stated| stated.quiet(&readings)));
             let first = findings.figures.len();
             self.judge(&readings, &mut findings);

@@ -11,6 +11,9 @@ use crate::common::{copied_repeats, directions, faults, finite, no_data, run_nam
 /// Positions that are no farther apart are one target: mm or degrees.
 const SAME: f64 = 1e-3;
 
+/// The readings of a run by target and direction (up or not).
+type OfRun = BTreeMap<(usize, bool), f64>;
+
 /// The readings of one axis.
 pub struct Readings {
     /// What was read, by the name of its file.
@@ -23,7 +26,20 @@ pub struct Readings {
     pub targets: Vec<Target>,
     /// All readings in the order of the rows.
     pub in_order: Vec<f64>,
+    /// The readings of each run, where runs have labels.
+    runs: Vec<(String, OfRun)>,
+    /// Whether the rows of both directions run against them.
+    is_turned: bool,
 }
+
+/// Fewest readings of a run that is compared with the others.
+const COMPARED: usize = 5;
+
+/// How many times farther from the others than they are from each other a run has to be, and than it is with its signs turned.
+const TURNED: f64 = 4.0;
+
+/// Distances below this are rounding, µm or µrad.
+const ROUNDING: f64 = 1e-3;
 
 impl Readings {
     /// Reads a data set.
@@ -53,6 +69,7 @@ impl Readings {
         let runs = data.labels("run");
         let count = places.values().max().map_or(0, |last| last + 1);
         let mut targets = vec![Target::default(); count];
+        let mut of_runs: Vec<(String, OfRun)> = Vec::new();
         let mut seen: BTreeMap<(&str, bool, usize), DataRow> = BTreeMap::new();
         for row in data.row_indices() {
             let place = places[&(positions[row] * scale).to_bits()];
@@ -64,6 +81,13 @@ impl Readings {
                 let message = format!("run {} has this target in this direction already, in line {line}", runs[row]);
                 return Err(data.error_at(row, message).help("each run reads a target once in a direction"));
             }
+            if let Some(run) = runs.map(|runs| &runs[row]) {
+                let known = of_runs.iter().position(|(name, _)| name == run).unwrap_or_else(|| {
+                    of_runs.push((run.clone(), BTreeMap::new()));
+                    of_runs.len() - 1
+                });
+                of_runs[known].1.insert((place, up), readings[row] * factor);
+            }
             let target = &mut targets[place];
             target.position = positions[row] * scale;
             if up { &mut target.up } else { &mut target.down }.push(readings[row] * factor);
@@ -72,7 +96,12 @@ impl Readings {
             return Err(wrong(data, "there are fewer than two targets"));
         }
         let in_order = readings.iter().map(|reading| reading * factor).collect();
-        Ok(Self { name: run_name(data), axis, unit, targets, in_order })
+        let of_one_run = |row: usize| runs.is_none_or(|runs| runs[DataRow(row)] == runs[DataRow(row - 1)]);
+        let steps = (1..positions.len())
+            .filter(|row| ways[*row] == ways[row - 1] && of_one_run(*row))
+            .map(|row| (ways[row], (positions[row] - positions[row - 1]) * scale));
+        let is_turned = run_against_directions(steps);
+        Ok(Self { name: run_name(data), axis, unit, targets, in_order, runs: of_runs, is_turned })
     }
 
     /// Faults of the instrument, and repeats that are copies where these were not told already.
@@ -81,7 +110,44 @@ impl Readings {
         let groups: Vec<Vec<f64>> =
             self.targets.iter().flat_map(|target| [target.up.clone(), target.down.clone()]).collect();
         let copied = copied_repeats("targets", &groups).filter(|_| !is_told && found.is_empty());
-        found.into_iter().chain(copied).collect()
+        let turned = self.is_turned.then(|| {
+            "rows with `direction` 1 run to smaller positions, and those with -1 to larger ones: has `position` the wrong sign, or \
+             `direction`?"
+                .to_owned()
+        });
+        found.into_iter().chain(copied).chain(turned).collect()
+    }
+
+    /// A run that is like the others with all its signs turned, in words.
+    pub fn turned_run(&self) -> Option<String> {
+        // Root mean square of what readings, times a sign, are apart from the mean of other runs; none where they cannot be compared.
+        let apart = |run: usize, without: usize, sign: f64| {
+            let others = |key: &(usize, bool)| -> Vec<f64> {
+                let others = self.runs.iter().enumerate().filter(|(other, _)| *other != run && *other != without);
+                others.filter_map(|(_, (_, readings))| readings.get(key).copied()).collect()
+            };
+            let squares = self.runs[run].1.iter().filter_map(|(key, reading)| {
+                let others = others(key);
+                let mean = others.iter().sum::<f64>() / others.len() as f64;
+                (!others.is_empty()).then(|| (sign * reading - mean).powi(2))
+            });
+            let squares: Vec<f64> = squares.collect();
+            (squares.len() >= COMPARED).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
+        };
+        let all = 0..self.runs.len();
+        let found = all.clone().filter(|_| self.runs.len() > 2).find_map(|run| {
+            let (as_read, turned) = (apart(run, run, 1.0)?, apart(run, run, -1.0)?);
+            let others = all.clone().filter(|other| *other != run).map(|other| apart(other, run, 1.0));
+            let usual = others.collect::<Option<Vec<f64>>>()?.into_iter().fold(0.0, f64::max);
+            (as_read > TURNED * turned.max(usual).max(ROUNDING)).then_some((run, as_read, turned))
+        });
+        found.map(|(run, as_read, turned)| {
+            let unit = self.unit;
+            format!(
+                "run {} is {as_read:.2} {unit} from the others, and {turned:.2} {unit} with its signs turned: is the sign of this run wrong?",
+                self.runs[run].0
+            )
+        })
     }
 
     /// Distance of the first and the last target, mm or degrees.
@@ -96,6 +162,21 @@ impl Readings {
         let least = |counts: Vec<usize>| counts.iter().any(|count| *count > 0).then(|| counts.into_iter().min());
         [least(up), least(down)].into_iter().flatten().flatten().min().unwrap_or(0)
     }
+}
+
+/// Whether rows of the positive direction run to smaller positions, and rows of the negative direction to larger ones, all of them:
+/// steps from a row to the next with their directions.
+///
+/// Rows that are sorted by their positions run one way in both directions, and tell nothing.
+fn run_against_directions(steps: impl Iterator<Item = (bool, f64)>) -> bool {
+    let mut against = [false; 2];
+    for (way, step) in steps.filter(|(_, step)| step.abs() > SAME) {
+        if way == (step > 0.0) {
+            return false;
+        }
+        against[usize::from(way)] = true;
+    }
+    against == [true; 2]
 }
 
 /// The place of every position among the targets.

@@ -237,7 +237,10 @@ impl Fanuc {
         let places = self.places(model)?;
         let units = |axis: usize| self.detection_unit(axis, model);
         let mut found = match &self.existing {
-            Some(path) => fanuc_file::read(path, &numbered, &places, &units, model)?,
+            Some(path) => {
+                let believed = self.settings.tables.believed();
+                fanuc_file::read(path, &numbered, &places, &units, model, &believed)?
+            }
             None => InFile::default(),
         };
         let existing = std::mem::take(&mut found.tables).into_iter().map(|table| self.settings.values.turned(table));

@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use abbe_compensation::AxisTable;
+use abbe_compensation::active::Believed;
 use abbe_core::{Error, KinematicModel, Result};
 use abbe_volumetric::{position_unit, rounded_position, within};
 
-use crate::existing::{text, wrong};
+use crate::existing::{Placed, text, wrong};
 
 /// Where axes have their reference points, and how they return to them.
 #[derive(Debug, Default)]
@@ -80,7 +81,8 @@ impl InFile {
 #[derive(Default)]
 struct Numbers {
     of_axes: BTreeMap<(u16, u16), i64>,
-    points: BTreeMap<i64, i64>,
+    /// Values of points, with their lines.
+    points: BTreeMap<i64, (i64, usize)>,
 }
 
 impl Numbers {
@@ -109,6 +111,7 @@ pub fn read(
     places: &Places,
     unit: &dyn Fn(usize) -> f64,
     model: &dyn KinematicModel,
+    believed: &Believed<'_>,
 ) -> Result<InFile> {
     let mut found = InFile::default();
     let mut numbers = Numbers::default();
@@ -130,7 +133,7 @@ pub fn read(
             }
             10_000..=19_999 => {
                 let value = rest.strip_prefix('P').and_then(|value| value.parse().ok()).ok_or_else(fails)?;
-                numbers.points.insert(i64::from(number) - 10_000, value);
+                numbers.points.insert(i64::from(number) - 10_000, (value, line));
             }
             _ => {}
         }
@@ -141,9 +144,11 @@ pub fn read(
             continue;
         }
         let both = found.bits.get(number).is_some_and(|bits| bits.ends_with('1'));
-        let table = table(&numbers, *number, *axis, both, places, model)
+        let (table, lines) = table(&numbers, *number, *axis, both, places, model)
             .map_err(|message| Error::data(format!("axis {number}: {message}")).in_file(path).setting("existing"))?;
-        found.tables.push(table.map(|count| count * unit(*axis)));
+        let table = table.map(|count| count * unit(*axis));
+        Placed { table: &table, lines: [&lines[0], &lines[1]] }.check(believed, path, model)?;
+        found.tables.push(table);
     }
     match found.tables.is_empty() {
         true => Err(Error::data("it has no points of axes under `axis_numbers`").in_file(path).setting("existing")),
@@ -161,7 +166,7 @@ fn values_of_axes(text: &str) -> Option<Vec<(u16, &str)>> {
     axes.map(|part| part.split_once('P').and_then(|(axis, value)| Some((axis.parse().ok()?, value)))).collect()
 }
 
-/// The table of an axis in detection units.
+/// The table of an axis in detection units, with the lines of its points in both directions.
 fn table(
     numbers: &Numbers,
     number: u16,
@@ -169,7 +174,7 @@ fn table(
     both: bool,
     places: &Places,
     model: &dyn KinematicModel,
-) -> Result<AxisTable, String> {
+) -> Result<(AxisTable, [Vec<usize>; 2]), String> {
     let of = |parameter: u16| {
         let found = numbers.of_axes.get(&(parameter, number)).copied();
         found.ok_or_else(|| format!("N{parameter:05} is missing"))
@@ -189,17 +194,24 @@ fn table(
     let curve = |begin: i64, at_reference: f64| {
         let mut sum = 0.0;
         let mut values = vec![0.0];
+        let mut lines = vec![0];
         for point in begin..=begin + last - first - i64::from(repeats) {
-            let value = numbers.points.get(&point).ok_or_else(|| format!("N{:05} is missing", 10_000 + point))?;
+            let (value, line) =
+                numbers.points.get(&point).ok_or_else(|| format!("N{:05} is missing", 10_000 + point))?;
             sum += *value as f64 * scale;
             values.push(sum);
+            lines.push(*line);
         }
         let zero = values.get(index as usize).copied().unwrap_or_default() - at_reference;
-        Ok::<_, String>(values.into_iter().map(|value| value - zero).collect::<Vec<f64>>())
+        lines[0] = lines.get(1).copied().unwrap_or_default();
+        Ok::<_, String>((values.into_iter().map(|value| value - zero).collect::<Vec<f64>>(), lines))
     };
     let against = if both { of(3627)? as f64 } else { 0.0 };
     let [forward_zero, reverse_zero] = if places.returns_negative(axis) { [against, 0.0] } else { [0.0, against] };
-    let forward = curve(begin, forward_zero)?;
-    let reverse = if both { curve(of(3626)? + i64::from(repeats), reverse_zero)? } else { forward.clone() };
-    Ok(AxisTable { input: axis, output: axis, positions: ends.map(place).collect(), forward, reverse, repeats })
+    let (forward, forwards) = curve(begin, forward_zero)?;
+    let (reverse, reverses) =
+        if both { curve(of(3626)? + i64::from(repeats), reverse_zero)? } else { (forward.clone(), forwards.clone()) };
+    let table =
+        AxisTable { input: axis, output: axis, positions: ends.map(place).collect(), forward, reverse, repeats };
+    Ok((table, [forwards, reverses]))
 }

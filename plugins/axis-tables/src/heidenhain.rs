@@ -128,9 +128,8 @@ impl Heidenhain {
         let mut existing = Vec::new();
         for (name, path) in &self.existing {
             let input = axis_of(model, name).map_err(|error| within(error, &["existing", name]))?;
-            existing.extend(
-                heidenhain_file::read(path, input, model)?.into_iter().map(|table| self.settings.values.turned(table)),
-            );
+            let found = heidenhain_file::read(path, input, model, &self.settings.tables.believed())?;
+            existing.extend(found.into_iter().map(|table| self.settings.values.turned(table)));
         }
         let limits =
             Limits { points: self.settings.most_points, decimals: DECIMALS, cross: Pairs::Asked, same_points: true };

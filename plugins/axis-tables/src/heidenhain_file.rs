@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use abbe_compensation::AxisTable;
+use abbe_compensation::active::{Believed, is_of_axis};
 use abbe_compensation::rigid::{LETTERS, Six};
-use abbe_core::{Error, KinematicModel, Result};
+use abbe_core::{Axis, AxisKind, Error, KinematicModel, Result};
 use abbe_volumetric::position_unit;
 
-use crate::existing::{text, wrong};
+use crate::existing::{Placed, text, wrong};
 use crate::tables::axis_of;
 
 /// A file along an axis, as it stands there: positions and values in mm and degrees.
@@ -16,23 +17,30 @@ pub struct Columns {
     pub positions: Vec<f64>,
     /// All columns but `NR` and `AXISPOS`, by their names.
     pub values: Vec<(String, Vec<f64>)>,
+    /// The line of each point, counted from 0.
+    pub lines: Vec<usize>,
 }
 
 impl Columns {
-    pub fn read(path: &Path) -> Result<Self> {
+    /// The file of an axis of a machine with these axes.
+    pub fn read(path: &Path, axis: &Axis, axes: &[Axis]) -> Result<Self> {
         let text = text(path)?;
         let fails = |message: &str| Error::data(message).in_file(path).setting("existing");
         let mut lines =
             text.lines().enumerate().map(|(line, text)| (line, text.trim())).filter(|(_, text)| !text.is_empty());
-        let begin = lines.next().map(|(_, text)| text).filter(|text| text.starts_with("BEGIN "));
-        let begin = begin.ok_or_else(|| fails("`BEGIN` was expected in the first line"))?;
+        let begin = lines.next().filter(|(_, text)| text.starts_with("BEGIN "));
+        let (first, begin) = begin.ok_or_else(|| fails("`BEGIN` was expected in the first line"))?;
         if begin.ends_with(" INCH") {
             return Err(fails("a table in mm was expected"));
+        }
+        if let Some(named) = named(begin) {
+            is_of_axis(axis, named, axes, path, first + 1).map_err(|error| error.setting("existing"))?;
         }
         let head = lines.next().map(|(_, text)| text).filter(|text| text.starts_with("NR"));
         let columns: Vec<&str> =
             head.ok_or_else(|| fails("`NR` was expected in the second line"))?.split_whitespace().collect();
         let mut rows: Vec<Vec<f64>> = Vec::new();
+        let mut of_rows = Vec::new();
         let mut has_end = false;
         for (line, text) in lines {
             if text == "[END]" {
@@ -42,6 +50,7 @@ impl Columns {
             let numbers: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
             let numbers = numbers.filter(|row| row.len() == columns.len() && row.iter().all(|value| value.is_finite()));
             rows.push(numbers.ok_or_else(|| wrong(path, line, format!("{} numbers were expected", columns.len())))?);
+            of_rows.push(line);
         }
         if rows.len() < 2 || !has_end {
             return Err(fails("at least two lines of numbers and `[END]` were expected"));
@@ -54,7 +63,8 @@ impl Columns {
             (None, None) => return Err(fails("`AXISPOS`, or `DATUM:` and `DISTANCE:`, were expected")),
         };
         let values = columns.iter().enumerate().filter(|(_, name)| !["NR", "AXISPOS"].contains(name));
-        Ok(Self { positions, values: values.map(|(place, name)| ((*name).to_owned(), column(place))).collect() })
+        let values = values.map(|(place, name)| ((*name).to_owned(), column(place))).collect();
+        Ok(Self { positions, values, lines: of_rows })
     }
 
     /// The values of a column.
@@ -72,7 +82,7 @@ pub struct Located {
 }
 
 impl Located {
-    pub fn read(path: &Path) -> Result<Self> {
+    pub fn read(path: &Path, believed: &Believed<'_>) -> Result<Self> {
         let text = text(path)?;
         let fails = |message: &str| Error::data(message).in_file(path).setting("existing_kinematics");
         let mut lines = text.lines().enumerate();
@@ -109,6 +119,10 @@ impl Located {
                 let message = format!("a number in COORD, and {} in AXIS, were expected of `{doc}`", LETTERS[six]);
                 return Err(wrong(path, line, message));
             };
+            let kind = if six < 3 { AxisKind::Linear } else { AxisKind::Rotary };
+            believed
+                .value(kind, value, path, line + 1, "is it that of this machine?")
+                .map_err(|error| error.setting("existing_kinematics"))?;
             located.errors.entry(doc[2..].to_owned()).or_default()[six] += value;
         }
         if !has_end {
@@ -119,8 +133,9 @@ impl Located {
 }
 
 /// The tables of a file along an axis, values in mm and rad as they stand in the file.
-pub fn read(path: &Path, input: usize, model: &dyn KinematicModel) -> Result<Vec<AxisTable>> {
-    let file = Columns::read(path)?;
+pub fn read(path: &Path, input: usize, model: &dyn KinematicModel, believed: &Believed<'_>) -> Result<Vec<AxisTable>> {
+    let axes = &model.info().axes;
+    let file = Columns::read(path, &axes[input], axes)?;
     let along = position_unit(&model.info().axes[input]).1;
     let positions: Vec<f64> = file.positions.iter().map(|place| place / along).collect();
     let mut tables = Vec::new();
@@ -131,15 +146,24 @@ pub fn read(path: &Path, input: usize, model: &dyn KinematicModel) -> Result<Vec
         let repeats = model.info().axes[input].endless;
         let table =
             AxisTable { input, output, positions: positions.clone(), forward: forward.clone(), reverse, repeats };
-        tables.push(table.map(|value| value / of));
+        let table = table.map(|value| value / of);
+        tables.push(table);
     }
-    match file.get("BACKLASH").is_some() && !tables.iter().any(|table| table.output == input) {
-        true => {
-            let message = "`BACKLASH` needs the column of the axis that moves";
-            Err(Error::data(message).in_file(path).setting("existing"))
-        }
-        false => Ok(tables),
+    if file.get("BACKLASH").is_some() && !tables.iter().any(|table| table.output == input) {
+        let message = "`BACKLASH` needs the column of the axis that moves";
+        return Err(Error::data(message).in_file(path).setting("existing"));
     }
+    for table in &tables {
+        Placed { table, lines: [&file.lines, &file.lines] }.check(believed, path, model)?;
+    }
+    Ok(tables)
+}
+
+/// The axis that the first line names: `X` of `BEGIN AXIS-X.COM MM`.
+fn named(begin: &str) -> Option<&str> {
+    let file = begin.strip_prefix("BEGIN ")?.split_whitespace().next()?;
+    let name = file.strip_prefix("AXIS")?.strip_prefix(['-', '_'])?;
+    name.strip_suffix(".COM")
 }
 
 /// The number after a word of the first line.

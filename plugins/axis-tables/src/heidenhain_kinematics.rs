@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use abbe_compensation::active::Believed;
 use abbe_compensation::check_confounded_anywhere;
 use abbe_compensation::rigid::{Joint, LETTERS};
 use abbe_core::{
@@ -56,6 +57,18 @@ struct Settings {
     existing: BTreeMap<String, String>,
     /// The kinematics table written by this exporter, where it was active then: its location errors are added.
     existing_kinematics: Option<String>,
+    /// Largest length in these files that is believed.
+    #[serde(default = "one")]
+    #[schemars(range(min = 0))]
+    largest_mm: f64,
+    /// Largest angle in these files that is believed.
+    #[serde(default = "one")]
+    #[schemars(range(min = 0))]
+    largest_deg: f64,
+}
+
+fn one() -> f64 {
+    1.0
 }
 
 fn default_step_mm() -> f64 {
@@ -117,6 +130,14 @@ fn table_name(axis: &str) -> String {
     format!("AXIS-{axis}.COM")
 }
 
+/// What a column C1 to C6 holds: lengths, then angles.
+fn kind_of_column(name: &str) -> AxisKind {
+    match (0..3).any(|six| name == column_name(six)) {
+        true => AxisKind::Linear,
+        false => AxisKind::Rotary,
+    }
+}
+
 /// Name of the column with an error before the axis.
 fn column_name(six: usize) -> String {
     format!("C{}", six + 1)
@@ -133,7 +154,7 @@ impl HeidenhainKinematics {
         let mut active = BTreeMap::new();
         for (name, path) in &self.existing {
             let axis = axis_of(model, name).map_err(|error| within(error, &["existing", name]))?;
-            active.insert(axis, Self::active(name, path)?);
+            active.insert(axis, self.active(axis, path, model)?);
         }
         if let Some(axis) = model.info().axes.iter().find(|axis| axis.endless) {
             let message = format!("axis {} turns without an end, and a table of this control has ends", axis.name);
@@ -161,9 +182,16 @@ impl HeidenhainKinematics {
         Ok((self.located(sequence)?, by_joint))
     }
 
+    /// What is believed of active files.
+    fn believed(&self) -> Believed<'_> {
+        Believed::new(self.settings.largest_mm, self.settings.largest_deg, &self.settings.ranges)
+    }
+
     /// An active file along an axis, if it is one of those that this exporter writes.
-    fn active(axis: &str, path: &Path) -> Result<Columns> {
-        let columns = Columns::read(path)?;
+    fn active(&self, index: usize, path: &Path, model: &dyn KinematicModel) -> Result<Columns> {
+        let axes = &model.info().axes;
+        let (kind, axis) = (axes[index].kind, axes[index].name.as_str());
+        let columns = Columns::read(path, &axes[index], axes)?;
         let fails = |message: String| Err(Error::data(message).in_file(path).setting("existing"));
         let unit = 10_f64.powi(DECIMALS);
         let steps: Vec<f64> = columns.positions.windows(2).map(|pair| ((pair[1] - pair[0]) * unit).round()).collect();
@@ -174,16 +202,27 @@ impl HeidenhainKinematics {
             return fails("positions have to increase by equal distances".to_owned());
         }
         let known = |name: &str| name == axis || (0..6).any(|six| name == column_name(six));
-        match columns.values.iter().find(|(name, _)| !known(name)) {
-            Some((name, _)) => fails(format!("columns {axis} and C1 to C6 were expected, not `{name}`")),
-            None => Ok(columns),
+        if let Some((name, _)) = columns.values.iter().find(|(name, _)| !known(name)) {
+            return fails(format!("columns {axis} and C1 to C6 were expected, not `{name}`"));
         }
+        let believed = self.believed();
+        let is_believed = || {
+            for (name, values) in &columns.values {
+                let of = if name == axis { kind } else { kind_of_column(name) };
+                for (value, line) in values.iter().zip(&columns.lines) {
+                    believed.value(of, *value, path, line + 1, "is it a file of this exporter, in mm and degrees?")?;
+                }
+            }
+            believed.coverage(&axes[index], &columns.positions, path, columns.lines.first().map(|line| line + 1))
+        };
+        is_believed().map_err(|error: Error| error.setting("existing"))?;
+        Ok(columns)
     }
 
     /// The sequence with the location errors of the active table.
     fn located(&self, mut sequence: Sequence) -> Result<Sequence> {
         let Some(path) = &self.located else { return Ok(sequence) };
-        let active = Located::read(path)?;
+        let active = Located::read(path, &self.believed())?;
         let name = |element: &Element| sequence.machine.joints[element.place].name.as_str();
         let axes: Vec<&str> = sequence.elements.iter().map(name).collect();
         if active.axes != axes {

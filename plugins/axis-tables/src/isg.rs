@@ -137,7 +137,7 @@ impl Isg {
         let mut existing = Vec::new();
         for (name, path) in &self.existing {
             let output = axis_of(model, name).map_err(|error| within(error, &["existing", name]))?;
-            for table in isg_file::read(path, output, &numbered, model)? {
+            for table in isg_file::read(path, output, &numbered, model, &self.settings.tables.believed())? {
                 existing.push(if table.input == output { table.map(|value| -value) } else { self.turned(table)? });
             }
         }

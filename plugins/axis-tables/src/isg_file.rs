@@ -4,14 +4,35 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use abbe_compensation::AxisTable;
+use abbe_compensation::active::{Believed, is_of_axis};
 use abbe_core::{Error, KinematicModel, Result};
 use abbe_volumetric::position_unit;
 
-use crate::existing::{text, wrong};
+use crate::existing::{Placed, text, wrong};
 use crate::isg::SCALE;
 
 /// No list has more points.
 const MOST: f64 = 10_000.0;
+
+/// Refuses a line of the head that names another axis.
+fn check_head(
+    (name, value): (&str, &str),
+    path: &Path,
+    line: usize,
+    output: usize,
+    numbered: &dyn Fn(u16) -> Option<usize>,
+    model: &dyn KinematicModel,
+) -> Result<()> {
+    let axes = &model.info().axes;
+    let named = match name {
+        "kopf.log_achs_name" => Some(value),
+        "kopf.log_achs_nr" => value.parse().ok().and_then(numbered).map(|axis| axes[axis].name.as_str()),
+        _ => None,
+    };
+    named
+        .map_or(Ok(()), |named| is_of_axis(&axes[output], named, axes, path, line + 1))
+        .map_err(|error| error.setting("existing"))
+}
 
 /// The tables of the list of an axis, values in mm and rad. `numbered` is the index of the axis of a number.
 pub fn read(
@@ -19,14 +40,21 @@ pub fn read(
     output: usize,
     numbered: &dyn Fn(u16) -> Option<usize>,
     model: &dyn KinematicModel,
+    believed: &Believed<'_>,
 ) -> Result<Vec<AxisTable>> {
     let mut entries: BTreeMap<String, f64> = BTreeMap::new();
+    let mut lines: BTreeMap<String, usize> = BTreeMap::new();
     for (line, text) in text(path)?.lines().enumerate() {
         let mut words = text.split_whitespace();
-        let Some(name) = words.next().filter(|name| name.starts_with("kw.")) else { continue };
+        let Some(name) = words.next() else { continue };
+        if !name.starts_with("kw.") {
+            check_head((name, words.next().unwrap_or_default()), path, line, output, numbered, model)?;
+            continue;
+        }
         let value = words.next().and_then(|value| value.parse().ok()).filter(|value: &f64| value.is_finite());
         let value = value.ok_or_else(|| wrong(path, line, format!("a number was expected after `{name}`")))?;
         entries.insert(name.to_owned(), value);
+        lines.insert(name.to_owned(), line);
     }
     let fails = |message: String| Error::data(message).in_file(path).setting("existing");
     let entry = |name: &str| entries.get(name).copied();
@@ -69,14 +97,21 @@ pub fn read(
         let column = |name: &str| {
             points.clone().map(|index| value(index, name).map(|value| value / of)).collect::<Result<Vec<f64>>>()
         };
-        tables.push(AxisTable {
+        let lines_of = |name: &str| -> Vec<usize> {
+            let line = |index| lines.get(&format!("{list}.table[{index}].{name}")).copied().unwrap_or_default();
+            points.clone().map(line).collect()
+        };
+        let places = [lines_of(columns[0]), lines_of(columns[1])];
+        let table = AxisTable {
             input,
             output,
             positions: points.clone().map(place).collect::<Result<_>>()?,
             forward: column(columns[0])?,
             reverse: column(columns[1])?,
             repeats: is_screw && entry("kw.ssfk.modulo") == Some(1.0),
-        });
+        };
+        Placed { table: &table, lines: [&places[0], &places[1]] }.check(believed, path, model)?;
+        tables.push(table);
     }
     match tables.is_empty() {
         true => Err(fails("it has neither `kw.ssfk` nor `kw.crosscomp`".to_owned())),

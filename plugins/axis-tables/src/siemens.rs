@@ -185,7 +185,8 @@ impl Siemens {
             found.and_then(|(axis, _)| axis_of(model, axis).ok())
         };
         for path in &self.existing {
-            siemens_file::read(path, self.settings.encoder, &machine_axis, model, &mut known)?;
+            let believed = self.settings.tables.believed();
+            siemens_file::read(path, self.settings.encoder, &machine_axis, model, &believed, &mut known)?;
         }
         known.sag = known.sag.into_iter().map(|table| self.turned(table)).collect();
         known.encoder = known.encoder.into_iter().map(|table| table.map(|value| -value)).collect();

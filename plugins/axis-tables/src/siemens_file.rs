@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use abbe_compensation::AxisTable;
+use abbe_compensation::active::Believed;
 use abbe_core::{Error, KinematicModel, Result};
 use abbe_volumetric::position_unit;
 
-use crate::existing::{text, wrong};
+use crate::existing::{Placed, text, wrong};
 
 /// Tables as they stand in files, values in mm and rad.
 #[derive(Debug, Default)]
@@ -24,7 +25,8 @@ struct Raw {
     line: usize,
     numbers: BTreeMap<String, f64>,
     axes: BTreeMap<String, String>,
-    values: BTreeMap<usize, f64>,
+    /// With their lines.
+    values: BTreeMap<usize, (usize, f64)>,
 }
 
 /// Adds the tables of a file. `machine_axis` is the index of a machine axis by its name in the control; encoder tables are those of one
@@ -34,6 +36,7 @@ pub fn read(
     encoder: u8,
     machine_axis: &dyn Fn(&str) -> Option<usize>,
     model: &dyn KinematicModel,
+    believed: &Believed<'_>,
     found: &mut Tables,
 ) -> Result<()> {
     // Encoder tables by encoder and axis, the others by their index.
@@ -63,7 +66,7 @@ pub fn read(
         }
         let value: f64 = value.parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(fails)?;
         match point {
-            Some(point) => drop(own.values.insert(point.parse().map_err(|_| fails())?, value)),
+            Some(point) => drop(own.values.insert(point.parse().map_err(|_| fails())?, (line, value))),
             None => drop(own.numbers.insert(variable.to_owned(), value)),
         }
     }
@@ -86,6 +89,9 @@ pub fn read(
         };
         let (input, output) = (axis_of("_INPUT_AXIS")?, axis_of("_OUTPUT_AXIS")?);
         let table = table(&raw, input, output, model).map_err(fails)?;
+        let line = |point: usize| raw.values.get(&point).map_or(raw.line, |(line, _)| *line);
+        let lines: Vec<usize> = (0..table.positions.len()).map(line).collect();
+        Placed { table: &table, lines: [&lines, &lines] }.check(believed, path, model)?;
         let list = if is_encoder { &mut found.encoder } else { &mut found.sag };
         match list.iter_mut().find(|other| other.is_for_same_axes(&table)) {
             Some(other) => {
@@ -114,7 +120,7 @@ fn table(raw: &Raw, input: usize, output: usize, model: &dyn KinematicModel) -> 
     let (along, of) = (position_unit(&axes[input]).1, position_unit(&axes[output]).1);
     let points = 0..=last.round() as usize;
     let positions = points.clone().map(|point| (from + point as f64 * step) / along).collect();
-    let values: Vec<f64> = points.map(|point| raw.values.get(&point).copied().unwrap_or(0.0) / of).collect();
+    let values: Vec<f64> = points.map(|point| raw.values.get(&point).map_or(0.0, |(_, value)| *value) / of).collect();
     let direction = number("_DIRECTION").unwrap_or(0.0);
     let where_used = |used: bool| if used { values.clone() } else { vec![0.0; values.len()] };
     let (forward, reverse) = (where_used(direction >= 0.0), where_used(direction <= 0.0));

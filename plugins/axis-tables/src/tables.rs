@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use abbe_compensation::active::Believed;
 use abbe_compensation::{AxisTable, AxisTables, TableSource};
 use abbe_core::{
     Axis, AxisKind, Calibration, CommandCorrection, Error, KinematicModel, PathItem, Result, SettingsError, positive,
@@ -34,9 +35,12 @@ pub struct Tables {
     /// Where the other axes stand: `{ Z_mm: 100 }`. Default: zero, or the middle of the range if zero is outside.
     #[serde(default)]
     pub at: BTreeMap<String, f64>,
-    /// Largest correction of the tip that is believed.
+    /// Largest correction of the tip, and largest value of a linear axis in tables, that is believed.
     #[serde(default = "one")]
     pub largest_mm: f64,
+    /// Largest value of a rotary axis in tables that is believed.
+    #[serde(default = "one")]
+    pub largest_deg: f64,
     /// Largest change of a correction along its axis, in µm/mm; for rotary axes along themselves mdeg/deg, along others µm/deg.
     #[serde(default = "one")]
     pub largest_slope_um_per_mm: f64,
@@ -62,6 +66,7 @@ impl Default for Tables {
             cross: None,
             at: BTreeMap::new(),
             largest_mm: one(),
+            largest_deg: one(),
             largest_slope_um_per_mm: one(),
         }
     }
@@ -174,7 +179,11 @@ impl Tables {
     /// Refuses settings that are wrong for every machine.
     pub fn check(&self) -> Result<(), SettingsError> {
         let steps = Steps { mm: self.step_mm, deg: self.step_deg };
-        let sizes = [("largest_mm", self.largest_mm), ("largest_slope_um_per_mm", self.largest_slope_um_per_mm)];
+        let sizes = [
+            ("largest_mm", self.largest_mm),
+            ("largest_deg", self.largest_deg),
+            ("largest_slope_um_per_mm", self.largest_slope_um_per_mm),
+        ];
         let places = || match self.at.iter().find(|(_, place)| !place.is_finite()) {
             Some((name, _)) => Err(SettingsError::new(name, "a finite number was expected").under([key("at")])),
             None => Ok(()),
@@ -185,6 +194,12 @@ impl Tables {
             .and_then(|()| sizes.iter().try_for_each(|(name, value)| positive(name, *value).map(|_| ())))
             .and_then(|()| places())
             .map_err(|error| error.under([key("tables")]))
+    }
+
+    /// What is believed of tables that the control has already.
+    pub fn believed(&self) -> Believed<'_> {
+        let settings = ["tables.largest_mm", "tables.largest_deg", "tables.ranges"];
+        Believed { settings, ..Believed::new(self.largest_mm, self.largest_deg, &self.ranges) }
     }
 
     /// The tables of a calibration, added to those that the control has already.
@@ -367,6 +382,13 @@ impl Tables {
     fn check_table(&self, table: &AxisTable, model: &dyn KinematicModel, limits: &Limits) -> Result<()> {
         let (output, input) = (&model.info().axes[table.output], &model.info().axes[table.input]);
         let name = format!("{} along {}", output.name, input.name);
+        let (unit, factor) = position_unit(output);
+        let (setting, most) = Believed::new(self.largest_mm, self.largest_deg, &self.ranges).largest(output.kind);
+        let largest = table.forward.iter().chain(&table.reverse).fold(0.0_f64, |most, value| most.max(value.abs()));
+        if largest * factor > most {
+            let message = format!("a correction of {name} of {:.6} {unit}, more than {most} {unit}", largest * factor);
+            return Err(Error::data(message).help("is the calibration right? else allow more").setting(setting));
+        }
         let slope = table.steepest() * position_unit(output).1 / position_unit(input).1 * 1e3;
         if slope > self.largest_slope_um_per_mm {
             let most = self.largest_slope_um_per_mm;

@@ -134,6 +134,7 @@ impl System {
             implausible: Vec::new(),
             variance: Vec::new(),
             agreement: None,
+            statuses: BTreeMap::new(),
             known_degrees_of_freedom: BTreeMap::new(),
         };
         Ok(calibration(problem, x, self.covariance(&standard, scale), Vec::new(), fit))

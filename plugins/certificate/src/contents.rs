@@ -1,5 +1,7 @@
 //! The elements of a certificate, in the order of the schemas DCC 3.2.1 and 3.3.0.
 
+use std::path::Path;
+
 use abbe_core::{Calibration, Error, Estimated, Result};
 use abbe_numerics::{coverage_factor, joint_coverage_factor};
 
@@ -150,10 +152,9 @@ fn measurement(settings: &Settings, calibration: &Calibration, certified: &[&Est
         Element::of("dcc:influenceConditions", conditions.collect()),
         Element::of("dcc:results", vec![result]),
     ];
-    let files = calibration.data.iter().filter_map(|record| {
-        let hash = record.sha256.as_ref()?;
-        let name = named("dcc:name", &printable(&record.file));
-        Some(Element::of("dcc:metaData", vec![name, Element::text("dcc:reference", format!("SHA-256 {hash}"))]))
+    let files = measured_files(calibration).map(|(name, hash)| {
+        let name = named("dcc:name", &printable(name));
+        Element::of("dcc:metaData", vec![name, Element::text("dcc:reference", format!("SHA-256 {hash}"))])
     });
     let mut more: Vec<Element> = conformity::statements(settings, certified)?.iter().map(statement).collect();
     more.extend(files);
@@ -276,6 +277,14 @@ pub fn plain(value: f64) -> String {
 /// A name in a list whose items are separated by white space.
 fn label(name: &str) -> String {
     name.split_whitespace().collect::<Vec<_>>().join("_")
+}
+
+/// The files that the results rest on, with their SHA-256: by their names alone, wherever they lay when the estimate was made.
+pub(crate) fn measured_files(calibration: &Calibration) -> impl Iterator<Item = (&str, &str)> {
+    calibration.data.iter().filter_map(|record| {
+        let name = Path::new(&record.file).file_name().and_then(|name| name.to_str());
+        Some((name.unwrap_or(&record.file), record.sha256.as_deref()?))
+    })
 }
 
 /// A text without the characters that XML does not have.

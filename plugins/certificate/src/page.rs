@@ -6,7 +6,7 @@ use abbe_core::{Calibration, Error, Estimated, Result, Unit};
 use abbe_numerics::coverage_factor;
 
 use crate::conformity::{self, Statement};
-use crate::contents::statements;
+use crate::contents::{measured_files, statements};
 use crate::draft::Draft;
 use crate::settings::{Contact, Place};
 use crate::symbols::meaning;
@@ -249,11 +249,9 @@ fn remarks(draft: &Draft, calibration: &Calibration) -> String {
     let stated = statements(&settings)
         .filter(|(_, clause, _)| !clause.ends_with(['n', 'd']))
         .map(|(norm, clause, text)| format!("{} ({norm}, {clause})", escaped(&text)));
-    let files = calibration.data.iter().filter_map(|record| {
-        let hash = record.sha256.as_ref()?;
-        Some(format!("{} <code>SHA-256 {}</code>", escaped(&record.file), escaped(hash)))
-    });
-    let files: Vec<String> = files.collect();
+    let files: Vec<String> = measured_files(calibration)
+        .map(|(name, hash)| format!("{} <code>SHA-256 {}</code>", escaped(name), escaped(hash)))
+        .collect();
     let mut html = format!("<h2>Remarks</h2>\n{}", list(stated));
     let software = format!("Abbe {}, estimate {}", env!("CARGO_PKG_VERSION"), calibration.estimate);
     let mut rows = vec![("Software", escaped(&software))];

@@ -2,12 +2,13 @@
 
 use std::path::PathBuf;
 
+use abbe_compensation::active::Believed;
 use abbe_compensation::{Compensator, Correct, Settings as Correction, Travel, check_confounded};
 use abbe_core::{
     Calibration, CommandCorrection, Context, Error, Export, ExportedFile, InputFile, KinematicModel, PathItem, Result,
     SettingsError, machine_values, positive,
 };
-use abbe_volumetric::{Grid, position_unit, rounded_position, within};
+use abbe_volumetric::{Grid, Ranges, position_unit, rounded_position, within};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -44,6 +45,10 @@ struct Settings {
     /// Largest correction of the tip; beyond it the errors are not believed.
     #[serde(default = "one")]
     largest_tip_correction_mm: f64,
+    /// Largest correction of a rotary axis that a file of corrections may have.
+    #[serde(default = "one")]
+    #[schemars(range(min = 0))]
+    largest_deg: f64,
     /// File of corrections (CSV, from this exporter) that was active when the machine was measured: the new ones are added to them.
     #[serde(default)]
     existing: Option<String>,
@@ -205,9 +210,13 @@ impl Export for Corrections {
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
         let mut lattice = self.lattice(calibration, model)?;
         if let Some(path) = &self.existing {
-            let active = grid_file::read(path, model)?;
+            let (largest_mm, ranges) = (self.settings.largest_tip_correction_mm, Ranges::new());
+            let settings = ["largest_tip_correction_mm", "largest_deg", "grid"];
+            let believed = Believed { settings, ..Believed::new(largest_mm, self.settings.largest_deg, &ranges) };
+            let active = grid_file::read(path, model, &believed)?;
             let added = lattice.add(&active, DECIMALS);
             added.map_err(|message| Error::usage(message).in_file(path).setting("existing"))?;
+            grid_file::check_coverage(&active, &lattice.sides, path)?;
         }
         Ok(vec![match self.settings.format {
             Format::Csv => file("corrections.csv", csv(&lattice)),

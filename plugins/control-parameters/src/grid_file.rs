@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use abbe_core::{Error, KinematicModel, Result};
+use abbe_compensation::active::{Believed, covers};
+use abbe_core::{AxisKind, Error, KinematicModel, Result};
 use abbe_files::{LARGEST_TEXT, read_text};
 use abbe_volumetric::position_unit;
 
@@ -16,7 +17,7 @@ struct Row<'a> {
 }
 
 /// The corrections of a file.
-pub fn read(path: &Path, model: &dyn KinematicModel) -> Result<Lattice> {
+pub fn read(path: &Path, model: &dyn KinematicModel, believed: &Believed<'_>) -> Result<Lattice> {
     let text = read_text(path, LARGEST_TEXT)
         .map_err(|error| Error::data(format!("it cannot be read: {error}")).in_file(path).setting("existing"))?;
     let wrong = |line: usize, message: String| Error::data(message).at(path, line, None).setting("existing");
@@ -49,7 +50,44 @@ pub fn read(path: &Path, model: &dyn KinematicModel) -> Result<Lattice> {
         }
         lattice.sets.push(Set { name: first.set.to_owned(), when, values });
     }
+    rows.iter()
+        .try_for_each(|row| check_values(row, &lattice, believed, path))
+        .map_err(|error| error.setting("existing"))?;
     Ok(lattice)
+}
+
+/// Refuses a file with less than half of a grid.
+pub fn check_coverage(active: &Lattice, grid: &[Side], path: &Path) -> Result<()> {
+    for side in &active.sides {
+        let Some(of_grid) = grid.iter().find(|other| other.column == side.column) else { continue };
+        let (Some(from), Some(to)) = (of_grid.nodes.first(), of_grid.nodes.last()) else { continue };
+        covers(kind(side.factor), &side.nodes, (*from, *to), path, None, "grid")
+            .map_err(|error| error.setting("existing"))?;
+    }
+    Ok(())
+}
+
+/// Refuses corrections that are not believed.
+fn check_values(row: &Row<'_>, lattice: &Lattice, believed: &Believed<'_>, path: &Path) -> Result<()> {
+    let values = row.numbers.iter().skip(lattice.sides.len());
+    for (axis, value) in lattice.corrected.iter().zip(values) {
+        believed.value(
+            kind(axis.factor),
+            *value,
+            path,
+            row.line,
+            "is it a file of this exporter, in mm and degrees?",
+        )?;
+    }
+    Ok(())
+}
+
+/// Whether an axis is linear or rotary, by the factor of its unit.
+fn kind(factor: f64) -> AxisKind {
+    match factor == 1.0 {
+        true => AxisKind::Linear,
+        false => AxisKind::Rotary,
+    }
 }
 
 fn row(line: usize, text: &str, count: usize) -> Result<Row<'_>, String> {

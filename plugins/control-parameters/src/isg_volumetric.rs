@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
+use abbe_compensation::active::Believed;
 use abbe_compensation::check_confounded_anywhere;
 use abbe_compensation::rigid::{Joint, LETTERS, Six};
 use abbe_core::{
@@ -51,6 +52,18 @@ struct Settings {
     /// errors are added to theirs.
     #[serde(default)]
     existing: Vec<String>,
+    /// Largest length in these tables that is believed.
+    #[serde(default = "one")]
+    #[schemars(range(min = 0))]
+    largest_mm: f64,
+    /// Largest angle in these tables that is believed.
+    #[serde(default = "one")]
+    #[schemars(range(min = 0))]
+    largest_deg: f64,
+}
+
+fn one() -> f64 {
+    1.0
 }
 
 /// How tables are written.
@@ -146,10 +159,12 @@ impl IsgVolumetric {
     }
 
     /// Adds what is active already.
-    fn add_existing(&self, tables: &mut Tables) -> Result<()> {
+    fn add_existing(&self, tables: &mut Tables, model: &dyn KinematicModel) -> Result<()> {
         let mut active = Active::default();
-        self.existing.iter().try_for_each(|path| active.read(path))?;
-        let Active { mut constants, mut motions } = active;
+        let Settings { largest_mm, largest_deg, ranges, .. } = &self.settings;
+        let believed = Believed::new(*largest_mm, *largest_deg, ranges);
+        self.existing.iter().try_for_each(|path| active.read(path, &believed, &model.info().axes))?;
+        let Active { mut constants, mut motions, .. } = active;
         for (name, expected) in places(tables) {
             let found = constants.remove(&name).unwrap_or(expected);
             if (found - expected).abs() > SAME {
@@ -269,7 +284,7 @@ impl Export for IsgVolumetric {
 
     fn export(&self, calibration: &Calibration, model: &dyn KinematicModel) -> Result<Vec<ExportedFile>> {
         let mut tables = self.tables(calibration, model)?;
-        self.add_existing(&mut tables)?;
+        self.add_existing(&mut tables, model)?;
         let each = |write: fn(&Joint, &Curve) -> String| -> String {
             tables.iter().map(|(joint, curve)| write(joint, curve)).collect()
         };

@@ -7,12 +7,13 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use abbe_compensation::active::Believed;
 use abbe_compensation::{AxisTable, AxisTables, check_confounded};
 use abbe_core::{
     Axis, AxisKind, Calibration, CommandCorrection, Context, Error, ErrorFunction, Export, ExportedFile, InputFile,
     KinematicModel, PathItem, Result, SettingsError,
 };
-use abbe_volumetric::{Ranges, Steps, check_axes, position_unit, range_of, within};
+use abbe_volumetric::{Ranges, Steps, check_axes, position_unit, within};
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer};
 use serde_json::{Value, json};
@@ -272,7 +273,7 @@ impl LinuxCnc {
                 positions.iter().zip(before).map(trim).collect()
             };
             let after = [after(1.0, &before[0])?, after(-1.0, &before[1])?];
-            let (setting, most) = self.largest(axis);
+            let (setting, most) = self.believed().largest(axis.kind);
             if let Some(trim) = after.iter().flatten().find(|trim| trim.abs() > most) {
                 let unit = position_unit(axis).0;
                 let message = format!("a trim of {trim} {unit} of {}, more than {most} {unit}", axis.name);
@@ -283,12 +284,9 @@ impl LinuxCnc {
         axes.iter().map(|&index| of_axis(index)).collect()
     }
 
-    /// The largest trim of an axis that is believed, with its setting.
-    fn largest(&self, axis: &Axis) -> (&'static str, f64) {
-        match axis.kind {
-            AxisKind::Linear => ("largest_mm", self.settings.largest_mm),
-            AxisKind::Rotary => ("largest_deg", self.settings.largest_deg),
-        }
+    /// What is believed of trims.
+    fn believed(&self) -> Believed<'_> {
+        Believed::new(self.settings.largest_mm, self.settings.largest_deg, &self.settings.ranges)
     }
 
     /// Positions of a file, with its trims.
@@ -297,28 +295,17 @@ impl LinuxCnc {
     fn existing(&self, path: &Path, axis: &Axis) -> Result<(Vec<f64>, [Vec<f64>; 2])> {
         let kind = self.settings.kind;
         let rows = screw_file::read(path, MOST)?;
-        let unit = position_unit(axis).0;
-        let (setting, largest) = self.largest(axis);
+        let believed = self.believed();
         for (index, row) in rows.iter().enumerate() {
-            if let Some(trim) =
-                row[1..].iter().map(|written| kind.trim(row[0], *written)).find(|trim| trim.abs() > largest)
-            {
-                let message =
-                    format!("a trim of {trim} {unit}, more than {largest} {unit}, of a file of type {}", kind as u8);
-                let help = format!("is `type` that of the file? or allow more: `{setting}`");
-                return Err(Error::data(message).at(path, index + 1, None).help(help));
+            for written in &row[1..] {
+                let help = format!("is `type: {}` that of the file?", kind as u8);
+                believed.value(axis.kind, kind.trim(row[0], *written), path, index + 1, &help)?;
             }
         }
-        let covered = rows[rows.len() - 1][0] - rows[0][0];
-        if let Ok((from, to)) = range_of(axis, &self.settings.ranges, RANGES)
-            && covered < 0.5 * (to - from)
-        {
-            let message = format!("it covers {covered} {unit} of {} {unit}", to - from);
-            let help = format!("positions are in {unit}; `ranges` says what part of the axis is used");
-            return Err(Error::data(message).in_file(path).help(help));
-        }
+        let positions: Vec<f64> = rows.iter().map(|row| row[0]).collect();
+        believed.coverage(axis, &positions, path, None)?;
         let trims = |column: usize| rows.iter().map(|row| kind.trim(row[0], row[column])).collect();
-        Ok((rows.iter().map(|row| row[0]).collect(), [trims(1), trims(2)]))
+        Ok((positions, [trims(1), trims(2)]))
     }
 
     /// Refuses what no measurement determines, along the axes that are written and in both directions of travel.

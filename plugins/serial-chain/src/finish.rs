@@ -60,7 +60,8 @@ impl Builder {
         let mut periods = Vec::new();
         for basis in &self.bases {
             let mut room = Room::default();
-            let arguments = basis.arguments_at(&vec![0.0; self.status.len()], &self.nominal, &mut room);
+            let status = vec![0.0; self.status.len()];
+            let arguments = basis.arguments_at(&status, &self.nominal, &mut room);
             let Some(length) = basis.functions.period(arguments) else { continue };
             let shapes = basis.arguments.iter().filter_map(|source| match source {
                 Source::Parameter(index) => Some(*index),

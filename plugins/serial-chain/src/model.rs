@@ -175,7 +175,19 @@ impl SerialChain {
             errors: vec![[0.0; 6]; self.chain.slots()],
             commands: vec![0.0; self.info.axes.len()],
             pose: Pose::default(),
+            room: Room::default(),
         }
+    }
+
+    /// What the errors of a pose are the sum of, with these values.
+    fn terms(&self, used: &[usize], values: &[f64]) -> Vec<Term> {
+        let coefficients = used.iter().flat_map(|&basis| &self.bases[basis].coefficients);
+        let terms = coefficients.map(|(parameter, place)| Term {
+            error: 6 * place.slot + place.component,
+            function: place.function,
+            value: values[*parameter],
+        });
+        terms.filter(|term| term.value != 0.0).collect()
     }
 
     /// The bases that have to be evaluated: those of coefficients that are not zero, or whose derivatives are wanted.
@@ -198,12 +210,17 @@ impl SerialChain {
     }
 
     /// The functions of a basis at a status.
-    fn functions_at(&self, basis: &FunctionBasis, status: &[f64], values: &[f64], out: &mut [f64]) -> Result<()> {
+    fn functions_at(
+        &self,
+        basis: &FunctionBasis,
+        At { status, values }: At<'_>,
+        room: &mut Room,
+        out: &mut [f64],
+    ) -> Result<()> {
         if let Some(range) = &basis.range {
             range.check(status, &self.info.axes)?;
         }
-        let mut room = Room::default();
-        let arguments = basis.arguments_at(status, values, &mut room);
+        let arguments = basis.arguments_at(status, values, room);
         if let Some(why) = basis.functions.refused(arguments) {
             return Err(Error::data(why));
         }
@@ -232,7 +249,11 @@ pub(crate) struct Room {
 }
 
 impl FunctionBasis {
-    pub fn arguments_at<'a>(&self, status: &[f64], values: &[f64], room: &'a mut Room) -> &'a [f64] {
+    pub fn arguments_at<'a>(&self, status: &'a [f64], values: &[f64], room: &'a mut Room) -> &'a [f64] {
+        // Nearly all functions have one argument: the command of an axis.
+        if let [Source::Status(index)] = self.arguments[..] {
+            return std::slice::from_ref(&status[index]);
+        }
         let count = self.arguments.len();
         let arguments = match count <= FEW {
             true => &mut room.few[..count],
@@ -295,6 +316,14 @@ pub(crate) struct Work {
     errors: Vec<Errors>,
     commands: Vec<f64>,
     pose: Pose,
+    room: Room,
+}
+
+/// A term of an error, which stands at 6 x slot + component: the value of a coefficient times a function.
+struct Term {
+    error: usize,
+    function: usize,
+    value: f64,
 }
 
 impl KinematicModel for SerialChain {
@@ -318,14 +347,16 @@ impl KinematicModel for SerialChain {
             (_, true) => Derivatives::OfPositionAndRotation(&slots),
         };
         let mut sorted = self.sorted(wanted, &used);
+        let terms = self.terms(&used, values);
         for (index, status) in statuses.chunks_exact(width).enumerate() {
             work.errors.fill([0.0; 6]);
+            let at = At { status, values };
             for basis in used.iter().map(|&basis| &self.bases[basis]) {
-                self.functions_at(basis, status, values, &mut work.functions).map_err(|error| error.at_pose(index))?;
-                for (slot, component, error) in basis.errors(values, &work.functions[basis.first..]) {
-                    work.errors[slot][component] += error;
-                }
+                self.functions_at(basis, at, &mut work.room, &mut work.functions)
+                    .map_err(|error| error.at_pose(index))?;
             }
+            let errors = work.errors.as_flattened_mut();
+            terms.iter().for_each(|term| errors[term.error] += term.value * work.functions[term.function]);
             work.commands.copy_from_slice(&status[..self.info.axes.len()]);
             let tip = self.tip(status).map_err(|error| error.at_pose(index))?;
             if self.first_order {
@@ -335,7 +366,7 @@ impl KinematicModel for SerialChain {
             }
             out.positions[index] = work.pose.position.into();
             let range = index * wanted.len()..(index + 1) * wanted.len();
-            self.slopes(&mut sorted, At { status, values }, &mut buffers);
+            self.slopes(&mut sorted, at, &mut buffers);
             let pose = &work.pose;
             let by = (&pose.by_error[..], &pose.by_command[..]);
             self.derivatives(&sorted, &work, by, &mut out.position_derivatives[range.clone()]);
@@ -358,7 +389,7 @@ impl KinematicModel for SerialChain {
             if coefficients.is_empty() {
                 continue;
             }
-            self.functions_at(basis, status, values, &mut functions)?;
+            self.functions_at(basis, At { status, values }, &mut Room::default(), &mut functions)?;
             for (parameter, place) in &coefficients {
                 error.value += values[*parameter] * functions[place.function];
                 error.derivatives.push((*parameter, functions[place.function]));

@@ -15,6 +15,7 @@ use crate::geometry::place;
 use crate::lexer::{Line, Sense, Word};
 use crate::machine::Space;
 use crate::modal::{Motion, Said, Special, refused};
+use crate::plan::Moved;
 use crate::refusal::Refusal;
 use table::{Effect, Statement};
 use words::{Cursor, Frame};
@@ -156,7 +157,7 @@ impl Program {
             }
             Some(_) if effects.machine.is_some() || effects.other_datum.is_some() => {
                 machine_block(statement, &line, &effects, reader)?;
-                reader.jump(None, true, named(&line))
+                reader.jump(None, true, Moved::to(named(&line)))
             }
             Some(_) => self.moved(statement, line, effects.late, reader)?,
             None if matches!(statement, Statement::Arc | Statement::RadiusArc) => {
@@ -168,7 +169,7 @@ impl Program {
             }
             None if effects.change.is_some() && !reader.options.stays_at_tool_change => {
                 reader.modal.at = [None; 9];
-                reader.jump(None, false, [true; 9])
+                reader.jump(None, false, [Moved::To; 9])
             }
             None => Action::Copy(None),
         };

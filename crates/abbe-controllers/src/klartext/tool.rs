@@ -3,6 +3,7 @@
 use crate::block::{Action, Reader};
 use crate::machine::Space;
 use crate::modal::letter;
+use crate::plan::Moved;
 use crate::refusal::Refusal;
 
 use super::Program;
@@ -61,7 +62,7 @@ impl Program {
             return Ok(Action::Copy(None));
         }
         reader.modal.at = [None; 9];
-        Ok(reader.jump(None, false, [true; 9]))
+        Ok(reader.jump(None, false, [Moved::To; 9]))
     }
 }
 

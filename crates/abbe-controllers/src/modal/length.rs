@@ -53,6 +53,10 @@ impl Modal {
                 self.tool
             }
             Some(of) => Some(of.value as u32),
+            None if on && options.dialect.has_program_numbers() && !options.tools.by_number.is_empty() => {
+                let what = "G43 without an H takes the last one on these controls, whichever tool is in the spindle";
+                return Err(refused(word, what, "write its H"));
+            }
             None => self.tool,
         };
         // H0 is no tool.

@@ -98,6 +98,7 @@ fn an_entry_that_was_changed_is_told() {
         "UPDATE entry SET recipe = 'other'",
         "UPDATE calibration SET machine = 'other'",
         "UPDATE calibration SET content = replace(content, '0', '1')",
+        "UPDATE calibration SET content = replace(content, 'estimated', 'esteemed')",
     ] {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("history.sqlite");
@@ -112,6 +113,11 @@ fn an_entry_that_was_changed_is_told() {
         drop(asked);
         for told in [history.entry(1).err(), history.verify([1]).err(), history.add(&entry(1)).err()] {
             assert!(told.unwrap().message.contains("entry 1"), "{statement}");
+        }
+        let all = history.calibrations(&Filter { machine: None, entry: None });
+        if statement.contains("esteemed") {
+            let told = all.unwrap_err().message;
+            assert!(told.contains("history.sqlite") && told.contains("entry 1"), "{told}");
         }
     }
 }

@@ -1,8 +1,10 @@
 //! Measurement uncertainty of the figures of ISO 230-2, in the manner of ISO/TR 230-9.
 //!
-//! The technical report was not at hand; it has rounded factors. Here all follows from independent drifts of the readings, and from
-//! what grows with length and is common to all readings: a rectangular range w has the standard uncertainty w / (2 √3). Those of E, M
-//! and B agree with simulated runs; those of R and A are a choice of this project (\[M\] in the documentation).
+//! The technical report was not at hand; it has rounded factors. Here all follows from the drift, which changes the difference of two
+//! readings by the range E_VE, independently at each target, and from what grows with length and is common to all readings: a
+//! rectangular range w has the standard uncertainty w / (2 √3). E and M are differences of two means, and have just what the formulas
+//! say. B is one, too: its formula takes the drift as that of each reading, and is larger by √2 than it has to be. Those of R and A are
+//! a choice of this project (\[M\] in the documentation).
 
 /// What is known of the measurement of a linear axis. Ranges are full widths.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -19,7 +21,7 @@ pub struct Linear {
     pub expansion_range: f64,
     /// How far the temperature is from 20 °C, K.
     pub offset: f64,
-    /// Range of the drift during the test, E_VE, µm.
+    /// Range of the drift between two readings, E_VE, µm.
     pub drift_range: f64,
 }
 
@@ -28,7 +30,7 @@ pub struct Linear {
 pub struct Rotary {
     /// Expanded uncertainty (k = 2) of the device, µrad.
     pub device: f64,
-    /// Range of the drift during the test, E_VE, µrad.
+    /// Range of the drift between two readings, E_VE, µrad.
     pub drift_range: f64,
 }
 
@@ -48,7 +50,7 @@ pub struct Terms {
     pub temperature: f64,
     /// Of the coefficient of expansion: the range L R(α) ΔT.
     pub expansion: f64,
-    /// Of the drift of one reading, E_VE.
+    /// Of the change between two readings by drift, E_VE.
     pub drift: f64,
 }
 

@@ -115,7 +115,8 @@ fn the_tip_over_the_workspace() {
 fn uncertainties_are_as_certain_as_their_degrees_of_freedom() {
     let (folder, mut fit) = fit();
     let judged = |settings: Value, fit: &Fit| judge("uncertainty", folder.path(), &settings, fit).unwrap();
-    let of = |key: &str| json!({ "parameters": [{ "names": ["table.facet[a].d"], key: 30 }] });
+    let limited = |key: &str, limit: f64| json!({ "parameters": [{ "names": ["table.facet[a].d"], key: limit }] });
+    let of = |key: &str| limited(key, 0.5);
     // Nobody says how many there are.
     assert_uncertain(&judged(of("expanded_um"), &fit), &[]);
     fit.calibration.uncertainty = fit.estimator.explain(&fit.problem).unwrap().uncertainty;
@@ -123,6 +124,8 @@ fn uncertainties_are_as_certain_as_their_degrees_of_freedom() {
     let half = 0.5_f64.sqrt();
     let (standard, expanded) = ("standard uncertainty[table.facet[a].d]", "expanded[table.facet[a].d]");
     assert_uncertain(&judged(of("standard_uncertainty_um"), &fit), &[(standard, half)]);
+    // Below a limit it is that of one as large as the limit.
+    assert_uncertain(&judged(limited("standard_uncertainty_um", 30.0), &fit), &[(standard, 30.0 * half)]);
     let mut one = fit.calibration.uncertainty.as_ref().unwrap().parameters[0].clone();
     assert!((one.coverage_factor - 12.706).abs() < 1e-3, "{one:?}");
     assert_uncertain(&judged(of("expanded_um"), &fit), &[(expanded, one.coverage_factor * half)]);
