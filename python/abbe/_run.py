@@ -6,6 +6,7 @@ import html
 import json
 import os
 import warnings
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Callable, Iterator, Mapping, Sequence
@@ -18,7 +19,6 @@ from ._artefact import Artefact
 from ._errors import AbbeError, AbbeWarning
 from ._problem import Problem
 from ._table import Covariance, Table
-
 
 
 def _plain(value: Any) -> Any:
@@ -40,9 +40,14 @@ def _source(recipe: Any, base: str | os.PathLike[str] | None) -> tuple[Path, str
     return Path("" if base is None else base) / "recipe.json", text
 
 
-def _warn() -> None:
-    for text in _abbe.take_warnings():
-        warnings.warn(text, AbbeWarning, stacklevel=3)
+@contextmanager
+def _warned() -> Iterator[None]:
+    """Warns of what is told meanwhile, also where it ends with an exception."""
+    try:
+        yield
+    finally:
+        for text in _abbe.take_warnings():
+            warnings.warn(text, AbbeWarning, stacklevel=4)
 
 
 @dataclass(frozen=True)
@@ -177,9 +182,8 @@ class Calibration:
             "largest_axis_correction_mrad": largest_axis_correction_mrad,
             "largest_rotary_correction_mrad": largest_rotary_correction_mrad,
         }
-        table = Table(self._calibration.compensate(set_points, json.dumps(settings)))
-        _warn()
-        return table
+        with _warned():
+            return Table(self._calibration.compensate(set_points, json.dumps(settings)))
 
     def to_json(self) -> str:
         """The text of the calibration file, to the byte as `abbe run` writes it."""
@@ -357,8 +361,8 @@ def check(
     ('fit', True)
     """
     path, text = _source(recipe, base)
-    found = json.loads(_abbe.check(path, text, dict(data or {}), list(artefacts)))
-    _warn()
+    with _warned():
+        found = json.loads(_abbe.check(path, text, dict(data or {}), list(artefacts)))
     return [Planned(**planned) for planned in found]
 
 
@@ -377,17 +381,16 @@ def run(
     `base`. `data` has tables for stages that read tables (`ingest: csv`, `parquet`, `arrow-ipc`), by name, in the
     place of their files: tables of pandas, polars or pyarrow, structured arrays of NumPy or dicts of arrays. Their
     columns have the names that they would have in a file, with units (`X_mm`, `B_deg`), and all that the recipe says
-    of rows and columns holds for them. `artefacts`
-    are those in Python that the recipe names (`abbe.artefact`). `progress` is called with events, in this thread:
-    dicts with the key `event`. Ctrl-C ends the run, and `time_limit_s` does.
+    of rows and columns holds for them. `artefacts` are those in Python that the recipe names (`abbe.artefact`).
+    `progress` is called with events, in this thread: dicts with the key `event`. Ctrl-C ends the run, and
+    `time_limit_s` does.
 
     Raises `RecipeError` for all that can be found without rows, `DataError` for what they show; stages that fail on
     the way are `Run.failures`. What should be known is warned of (`AbbeWarning`).
     """
     path, text = _source(recipe, base)
-    outcome = _abbe.run(path, text, dict(data or {}), list(artefacts), progress, time_limit_s)
-    _warn()
-    return Run(outcome)
+    with _warned():
+        return Run(_abbe.run(path, text, dict(data or {}), list(artefacts), progress, time_limit_s))
 
 
 def problems(
@@ -399,8 +402,8 @@ def problems(
 ) -> dict[str, Problem]:
     """The problems of the estimates of a recipe, by name, for estimators of one's own. Arguments as in `run`."""
     path, text = _source(recipe, base)
-    found = _abbe.problems(path, text, dict(data or {}), list(artefacts))
-    _warn()
+    with _warned():
+        found = _abbe.problems(path, text, dict(data or {}), list(artefacts))
     return {name: Problem(problem) for name, problem in found}
 
 

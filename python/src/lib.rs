@@ -3,6 +3,7 @@
 //! Nothing is computed here: recipes are run by `abbe-engine`, and results are those of the command line. While work
 //! is done the lock of the interpreter is released.
 
+mod arrays;
 mod artefact;
 mod calibration;
 mod columns;

@@ -6,12 +6,12 @@ use abbe_core::{Cell, Error, Field, RowsOfTable, SharedCells, Table};
 use arrow_array::RecordBatchReader;
 use arrow_array::ffi_stream::RecordBatchStreamReader;
 use arrow_pyarrow::FromPyArrow;
-use pyo3::buffer::{Element, PyBuffer};
 use pyo3::exceptions::PyImportError;
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyFloat, PyInt, PyString};
 
+use crate::arrays::Numbers;
 use crate::failure::{OrRaise, raised};
 
 /// What to give.
@@ -79,14 +79,14 @@ fn of_arrow(value: &Bound<'_, PyAny>) -> PyResult<Table> {
     Ok(table)
 }
 
-/// The cells of a column and their number: an array of numbers by the buffer protocol, else any sequence of numbers
-/// and texts.
+/// The cells of a column and their number: an array of numbers where it lies, else a copy of any sequence of numbers and
+/// texts.
 fn cells_of(value: &Bound<'_, PyAny>, name: &str) -> PyResult<(usize, SharedCells)> {
-    if let Some(numbers) = buffer::<f64>(value)? {
-        return Ok((numbers.len(), Box::new(numbers)));
-    }
-    if let Some(numbers) = buffer::<i64>(value)? {
-        return Ok((numbers.len(), Box::new(numbers)));
+    // Columns of pandas, polars and pyarrow are arrays, too, or become some.
+    let array = value.call_method0(intern!(value.py(), "to_numpy"));
+    let value = array.as_ref().unwrap_or(value);
+    if let Some(numbers) = Numbers::of(value)? {
+        return Ok((numbers.rows(), Box::new(numbers)));
     }
     let py = value.py();
     let listed = if value.hasattr(intern!(py, "tolist"))? { value.call_method0("tolist")? } else { value.clone() };
@@ -102,15 +102,6 @@ fn cells_of(value: &Bound<'_, PyAny>, name: &str) -> PyResult<(usize, SharedCell
         all.push(cell_of(&cell?).map_err(|found| wrong(&found))?);
     }
     Ok((all.len(), Box::new(all)))
-}
-
-/// The numbers of a one-dimensional array of this type; none if it is something else. They are copied, because a
-/// program may change them while a run goes on.
-fn buffer<T: Element>(value: &Bound<'_, PyAny>) -> PyResult<Option<Vec<T>>> {
-    match PyBuffer::<T>::get(value) {
-        Ok(buffer) if buffer.dimensions() == 1 => buffer.to_vec(value.py()).map(Some),
-        _ => Ok(None),
-    }
 }
 
 /// The cell that an object is, or the name of its type.

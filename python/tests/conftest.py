@@ -14,16 +14,22 @@ PIPELINES = ROOT / "pipelines"
 
 
 @pytest.fixture(scope="session")
-def by_command_line(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """The folder with the results of `abbe run` of a recipe in `pipelines`."""
-    program = os.environ.get("ABBE_PROGRAM", str(ROOT / "target/debug/abbe-under-test"))
-    if not Path(program).is_file():
+def program() -> Path:
+    """The program for the command line."""
+    program = Path(os.environ.get("ABBE_PROGRAM", ROOT / "target/debug/abbe-under-test"))
+    if not program.is_file():
         pytest.skip(f"{program} is not built")
+    return program
+
+
+@pytest.fixture(scope="session")
+def by_command_line(program: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """The folder with the results of `abbe run` of a recipe in `pipelines`."""
     out, done = tmp_path_factory.mktemp("out"), set[str]()
 
     def folder(recipe: str) -> Path:
         if recipe not in done:
-            command = [program, "run", f"pipelines/{recipe}.yaml", "--out", str(out)]
+            command = [str(program), "run", f"pipelines/{recipe}.yaml", "--out", str(out)]
             subprocess.run(command, cwd=ROOT, check=False, capture_output=True, timeout=600)
             done.add(recipe)
         return out / recipe

@@ -11,7 +11,6 @@ import time
 import warnings
 from typing import Any
 
-import numpy as np
 import pytest
 
 import abbe
@@ -197,24 +196,3 @@ def test_a_failed_stage_is_an_exception_that_waits() -> None:
     assert list(run.fits) == ["good"] and not run.passes
     assert isinstance(run.failures["scales"], abbe.DataError)
     assert run.failures["scales"].stage == "scales" and run.record["failures"][0]["stage"] == "scales"
-
-
-def test_correction_is_that_of_the_command_line() -> None:
-    """Compensated commands bring the tip of the calibrated machine to where the nominal one would be."""
-    fit = abbe.run("pipelines/tango-hu40t-exact.yaml").fits["fit-S3"]
-    rng = np.random.default_rng(5)
-    poses = {f"{axis}_mm": rng.uniform(-50, 50, 40) for axis in "XYZ"}
-    poses |= {"B_deg": rng.uniform(-60, 60, 40), "C_deg": rng.uniform(-90, 90, 40)}
-    poses |= {"dir_X": np.ones(40), "dir_Y": np.ones(40), "dir_B": np.ones(40), "dir_C": np.ones(40)}
-    poses["S_deg"] = np.zeros(40)
-    before = fit.predict(poses)
-    corrected = fit.compensate(poses)
-    after = fit.predict({**poses, **{name: corrected[name] for name in corrected if name in poses}})
-    nominal = before.numbers("x_mm", "y_mm", "z_mm") - before.numbers("error_x_um", "error_y_um", "error_z_um") / 1e3
-    left = np.abs(after.numbers("x_mm", "y_mm", "z_mm") - nominal).max()
-    error = np.abs(before.numbers("error_x_um", "error_y_um", "error_z_um")).max()
-    assert error > 5 and left < 1e-8
-    told = corrected.numbers("before_x_um", "before_y_um", "before_z_um")
-    assert np.allclose(told, before.numbers("error_x_um", "error_y_um", "error_z_um"), atol=1e-6)
-    with pytest.raises(abbe.RecipeError, match="five-axes"):
-        fit.compensate(poses, correct="everything")

@@ -73,7 +73,9 @@ fn python() -> Command {
     let own = [folder(), root().join("target/python-tests")];
     let others = std::env::var_os("PYTHONPATH").unwrap_or_default();
     let all = own.into_iter().chain(std::env::split_paths(&others));
-    command.env("PYTHONPATH", std::env::join_paths(all).unwrap_or(others)).env("PYTHONDONTWRITEBYTECODE", "1");
+    command.env("PYTHONPATH", std::env::join_paths(all).unwrap_or(others));
+    // Nothing is written beside the sources.
+    command.env("PYTHONPYCACHEPREFIX", root().join("target/python-cache"));
     command
 }
 

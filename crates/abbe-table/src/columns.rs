@@ -226,6 +226,13 @@ impl<'a> DataOfColumns<'a> {
     ///
     /// Fails as reading the same table in CSV does, with the number of the row.
     pub fn add(&mut self, rows: usize, cells: &[&dyn ColumnCells]) -> Result<()> {
+        self.origins.reserve(rows);
+        for column in &mut self.columns {
+            match &mut column.values {
+                Values::Numbers(numbers) => numbers.reserve(rows),
+                Values::Labels(labels) => labels.reserve(rows),
+            }
+        }
         for row in 0..rows {
             self.rows += 1;
             self.add_row(row, cells).map_err(|error| {
