@@ -1,13 +1,29 @@
 """The part of the package that is written in Rust. Names here may change: use `abbe`."""
 
 from pathlib import Path
-from typing import Any, Callable
+from typing import Any, Callable, final
 
 from ._artefact import Artefact
 from ._errors import AbbeError
 
+__all__ = [
+    "Calibration",
+    "Columns",
+    "Factor",
+    "Outcome",
+    "Problem",
+    "__version__",
+    "check",
+    "combine",
+    "problems",
+    "read_calibration",
+    "run",
+    "take_warnings",
+]
+
 __version__: str
 
+@final
 class Columns:
     """Columns of one length."""
 
@@ -19,6 +35,7 @@ class Columns:
     def texts(self, name: str) -> list[str | None]: ...
     def __arrow_c_stream__(self, requested_schema: object = None) -> object: ...
 
+@final
 class Calibration:
     """Values, their covariance, and the machine that they are of."""
 
@@ -30,6 +47,7 @@ class Calibration:
     def predict(self, poses: Any) -> Columns: ...
     def compensate(self, set_points: Any, settings: str) -> Columns: ...
 
+@final
 class Problem:
     """Model, observations, unknowns and rows."""
 
@@ -48,6 +66,7 @@ class Problem:
     def factor(self, x: list[float]) -> Factor: ...
     def parts(self, count: int) -> list[Problem]: ...
 
+@final
 class Factor:
     """The triangular factor of rows of unit variance."""
 
@@ -62,6 +81,7 @@ class Factor:
     def triangle(self) -> tuple[bytearray, bytearray]: ...
     def step(self) -> bytearray | None: ...
 
+@final
 class Outcome:
     """What a run found."""
 

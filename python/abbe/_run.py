@@ -146,7 +146,8 @@ class Calibration:
         """Where the tip is at poses, and its error there.
 
         `poses` has a column for the command of each axis (`X_mm`, `B_deg`) and for what else errors depend on
-        (`dir_X`, `time_s`). In the table frame: the tip (`x_mm`, `y_mm`, `z_mm`), the orientation of the tool
+        (`dir_X`, `time_s`). Without a direction of approach the errors are the mean of both directions, and without
+        a time there is no drift. In the table frame: the tip (`x_mm`, `y_mm`, `z_mm`), the orientation of the tool
         (quaternion `qw`, `qx`, `qy`, `qz`), actual minus nominal tip (`error_x_um`, ...) and its standard
         uncertainties (`uncertainty_x_um`, ...).
         """
@@ -254,7 +255,7 @@ class Run:
     >>> run
     <Run of first-steps: 1 estimates, 1 verdicts, pass>
     >>> run.verdicts["judge"].figures["name"][:2]
-    array(['max', 'mean_abs'], dtype=object)
+    array(['max', 'mean'], dtype=object)
     """
 
     def __init__(self, outcome: _abbe.Outcome) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from typing import TYPE_CHECKING, Any, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,12 @@ if TYPE_CHECKING:
 Column = NDArray[Any]
 
 
-class Table(Mapping[str, Column]):
+class Table:
     """Columns by name: numbers as arrays of NumPy, texts as arrays of objects. Names carry units: `x_mm`, `error_x_um`.
 
-    `pandas.DataFrame(table)`, `polars.DataFrame(table)`, `pyarrow.table(table)` and `dict(table)` take it; the last
-    three of these libraries by Arrow's interface (`__arrow_c_stream__`), without a copy.
+    `polars.DataFrame(table)`, `pyarrow.table(table)` and `pandas.DataFrame.from_arrow(table)` take it by Arrow's
+    interface (`__arrow_c_stream__`), without a copy; `dict(table)` is a dict of arrays, which
+    `pandas.DataFrame(dict(table))` takes.
 
     >>> import abbe
     >>> run = abbe.run("pipelines/first-steps.yaml")
@@ -26,7 +27,7 @@ class Table(Mapping[str, Column]):
     >>> list(parameters)
     ['name', 'value', 'unit', 'standard_uncertainty', 'status']
     >>> parameters["name"][:3]
-    array(['EA0B', 'EC0B', 'EX0C'], dtype=object)
+    array(['dxt', 'dyt', 'dzt'], dtype=object)
     >>> parameters["value"].dtype
     dtype('float64')
     """
@@ -47,6 +48,17 @@ class Table(Mapping[str, Column]):
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._names)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def keys(self) -> list[str]:
+        """Names of the columns."""
+        return list(self._names)
+
+    def items(self) -> Iterator[tuple[str, Column]]:
+        """Names with their columns."""
+        return ((name, self[name]) for name in self)
 
     def __len__(self) -> int:
         return len(self._names)
@@ -101,7 +113,7 @@ class Covariance:
     >>> import abbe
     >>> covariance = abbe.run("pipelines/first-steps.yaml").fits["fit"].covariance
     >>> covariance.names[:3]
-    ('EA0B', 'EC0B', 'EX0C')
+    ('dxt', 'dyt', 'dzt')
     >>> covariance.array.shape == (len(covariance.names),) * 2
     True
     >>> round(float(covariance.correlation("EA0B", "EA0B")), 12)

@@ -40,7 +40,8 @@ impl Numbers {
         }
         let Ok(view) = PyMemoryView::from(value) else { return Ok(None) };
         let format: String = view.getattr("format")?.extract()?;
-        let (dimensions, size): (usize, usize) = (view.getattr("ndim")?.extract()?, view.getattr("itemsize")?.extract()?);
+        let (dimensions, size): (usize, usize) =
+            (view.getattr("ndim")?.extract()?, view.getattr("itemsize")?.extract()?);
         let Some(read) = read_of(&format, size).filter(|_| dimensions == 1) else { return Ok(None) };
         let rows = view.len()?;
         Ok(Some(Self { view: view.unbind(), rows, size, read, window: Mutex::default() }))
@@ -65,7 +66,8 @@ impl Numbers {
 impl ColumnCells for Numbers {
     fn cell(&self, row: usize) -> Cell<'_> {
         let mut window = self.window.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_there = |window: &Window| row >= window.first && (row - window.first + 1) * self.size <= window.bytes.len();
+        let is_there =
+            |window: &Window| row >= window.first && (row - window.first + 1) * self.size <= window.bytes.len();
         if !is_there(&window) {
             let first = row - row % WINDOW;
             match self.bytes(first) {
@@ -82,7 +84,7 @@ impl ColumnCells for Numbers {
 /// Reads a number of this type from its bytes.
 macro_rules! read {
     ($number:ty, $cell:ident) => {
-        |bytes| {
+        |bytes: &[u8]| {
             let number = bytes.first_chunk().map(|bytes| <$number>::from_ne_bytes(*bytes));
             number.map_or(Cell::Missing, |number| Cell::$cell(number.into()))
         }

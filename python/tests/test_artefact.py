@@ -40,7 +40,7 @@ def recipe(artefact: Mapping[str, Any], parameters: list[str]) -> dict[str, Any]
                 "estimate": "gauss-newton",
                 "machine": "machine",
                 "observations": ["table"],
-                "parameters": ["d?t", "E*0?", "EXX*", *parameters],
+                "parameters": ["dxt", "dyt", "dzt", "E*0?", "EXX*", *parameters],
             },
         },
     }

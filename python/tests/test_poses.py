@@ -30,6 +30,8 @@ def test_a_prediction_is_the_exported_table(tmp_path: Path) -> None:
     run = abbe.run(tmp_path / "recipe.yaml")
     expected = table_of(run.exports["errors"]["volumetric.csv"].decode())
     poses = {name: expected[name] for name in ["X_mm", "Y_mm", "Z_mm", "B_deg", "C_deg"]}
+    # The table is that of moves in the positive direction.
+    poses |= {f"dir_{axis}": [1.0] * len(expected["X_mm"]) for axis in "XYZBC"}
     found = run.fits["fit"].predict(poses)
     assert found.rows == len(expected["X_mm"]) == 72
     for letter in "xyz":
@@ -37,6 +39,15 @@ def test_a_prediction_is_the_exported_table(tmp_path: Path) -> None:
         variances = expected[f"{letter}{letter}_um2"]
         assert np.allclose(found[f"uncertainty_{letter}_um"], np.sqrt(variances), rtol=1e-5, atol=1e-6)
     assert max(expected["size_um"]) > 5
+    # Without directions it is the mean of both.
+    there, back = (
+        run.fits["fit"].predict({**poses, **{name: [sign] * 72 for name in poses if name.startswith("dir")}})
+        for sign in (1, -1)
+    )
+    mean = run.fits["fit"].predict({name: column for name, column in poses.items() if not name.startswith("dir")})
+    for name in ["error_x_um", "error_y_um", "error_z_um"]:
+        assert np.allclose(mean[name], (there[name] + back[name]) / 2, atol=1e-4)
+    assert np.abs(there["error_x_um"] - back["error_x_um"]).max() > 5
 
 
 @pytest.mark.parametrize("options", [{}, {"correct": "five-axes"}, {"method": "first-order", "correct": "X,Z"}])
@@ -46,6 +57,7 @@ def test_a_correction_is_that_of_the_command_line(
     rng = np.random.default_rng(3)
     names = ["X_mm", "Y_mm", "Z_mm", "B_deg", "C_deg"]
     poses = {name: rng.uniform(-50, 50, 30).round(3) for name in names} | {"S_deg": np.zeros(30)}
+    poses["Z_mm"] += 300
     lines = [",".join(poses), *(",".join(map(repr, map(float, row))) for row in zip(*poses.values()))]
     (tmp_path / "points.csv").write_text("\n".join(lines) + "\n")
     calibration = by_command_line("tango-hu40t-exact") / "fit-S3.calibration.json"
@@ -70,7 +82,7 @@ def test_corrected_commands_take_the_error_away() -> None:
     """Compensated commands bring the tip of the calibrated machine to where the nominal one would be."""
     fit = abbe.run("pipelines/tango-hu40t-exact.yaml").fits["fit-S3"]
     rng = np.random.default_rng(5)
-    poses = {f"{axis}_mm": rng.uniform(-50, 50, 40) for axis in "XYZ"}
+    poses = {"X_mm": rng.uniform(-50, 50, 40), "Y_mm": rng.uniform(-50, 50, 40), "Z_mm": rng.uniform(200, 400, 40)}
     poses |= {"B_deg": rng.uniform(-60, 60, 40), "C_deg": rng.uniform(-90, 90, 40)}
     poses |= {"dir_X": np.ones(40), "dir_Y": np.ones(40), "dir_B": np.ones(40), "dir_C": np.ones(40)}
     poses["S_deg"] = np.zeros(40)
@@ -83,5 +95,8 @@ def test_corrected_commands_take_the_error_away() -> None:
     assert error > 5 and left < 1e-8
     told = corrected.numbers("before_x_um", "before_y_um", "before_z_um")
     assert np.allclose(told, before.numbers("error_x_um", "error_y_um", "error_z_um"), atol=1e-6)
+    poses["Z_mm"][7] = 900
+    with pytest.raises(abbe.DataError, match="row 8: Z stands at 900"):
+        fit.compensate(poses)
     with pytest.raises(abbe.RecipeError, match="five-axes"):
         fit.compensate(poses, correct="everything")

@@ -182,13 +182,13 @@ def test_a_failed_stage_is_an_exception_that_waits() -> None:
                 "estimate": "gauss-newton",
                 "machine": "machine",
                 "observations": ["table"],
-                "parameters": ["d?t", "EA0B", "table.*"],
+                "parameters": ["dxt", "dyt", "dzt", "EA0B", "table.*"],
             },
             "scales": {
                 "estimate": "gauss-newton",
                 "machine": "machine",
                 "observations": ["table"],
-                "parameters": ["d?t", "E*", "table.*"],
+                "parameters": ["dxt", "dyt", "dzt", "E*", "table.*"],
             },
         },
     }

@@ -33,7 +33,9 @@ pub fn tests(features: &[&str]) -> Result<Found, String> {
     if !succeeds(NEEDED) {
         return skipped("numpy and pytest are not installed");
     }
-    run_command(cargo(&[&["build", "--workspace", "--lib", "--locked"][..], features].concat()))?;
+    // With a test, because tests ask for more features of some libraries: without one all would be built once more.
+    let build = ["build", "--workspace", "--lib", "--test", "whole", "--locked"];
+    run_command(cargo(&[&build[..], features].concat()))?;
     let package = put_together().map_err(|error| format!("the Python package cannot be put together: {error}"))?;
     let mut pytest = python();
     pytest.args([

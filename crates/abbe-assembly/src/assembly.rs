@@ -376,8 +376,11 @@ fn join(data: &mut Dataset, table: &Dataset, on: &str, by_file: bool) -> Result<
     Ok(())
 }
 
-/// The rows that stay; each keeps its origin.
+/// The rows that stay; each keeps its origin. Where all stay nothing is copied.
 fn selected(data: Dataset, stays: &[bool]) -> Dataset {
+    if !stays.contains(&false) {
+        return data;
+    }
     let rows: Vec<DataRow> = data.row_indices().filter(|&row| stays[row]).collect();
     let columns =
         data.columns.iter().map(|column| Column { header: column.header.clone(), values: pick(&column.values, &rows) });

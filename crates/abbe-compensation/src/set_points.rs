@@ -167,12 +167,12 @@ impl SetPoints {
         self.data.origins[DataRow(point)].line
     }
 
-    /// An error about a pose with the line of its point.
+    /// An error about a pose with the line of its point, or with its row if it stands in a table of a program.
     pub fn locate(&self, error: Error) -> Error {
         match error.pose {
             Some(point) if point < self.len() && error.place.is_none() => {
                 let origin = self.data.origins[DataRow(point)];
-                error.at(&self.data.files[origin.file], origin.line, None)
+                origin.blame(error, &self.data.files[origin.file])
             }
             _ => error,
         }
@@ -181,7 +181,7 @@ impl SetPoints {
     /// Warns with the lines of points.
     pub(crate) fn tell(&self, sentences: &[(usize, String)]) {
         for (point, sentence) in sentences {
-            tracing::warn!("{}:{}: {sentence}", self.path.display(), self.line(*point));
+            tracing::warn!("{}: {sentence}", self.data.origins[DataRow(*point)].in_file(&self.path));
         }
     }
 
