@@ -46,7 +46,7 @@ def test_a_prediction_is_the_exported_table(tmp_path: Path) -> None:
     )
     mean = run.fits["fit"].predict({name: column for name, column in poses.items() if not name.startswith("dir")})
     for name in ["error_x_um", "error_y_um", "error_z_um"]:
-        assert np.allclose(mean[name], (there[name] + back[name]) / 2, atol=1e-4)
+        assert np.allclose(mean[name], (there[name] + back[name]) / 2, atol=5e-3)
     assert np.abs(there["error_x_um"] - back["error_x_um"]).max() > 5
 
 

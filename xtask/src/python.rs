@@ -76,8 +76,8 @@ fn python() -> Command {
     let others = std::env::var_os("PYTHONPATH").unwrap_or_default();
     let all = own.into_iter().chain(std::env::split_paths(&others));
     command.env("PYTHONPATH", std::env::join_paths(all).unwrap_or(others));
-    // Nothing is written beside the sources.
-    command.env("PYTHONPYCACHEPREFIX", root().join("target/python-cache"));
+    // What Python compiles is kept, and not beside the sources: libraries that are compiled for every test take minutes.
+    command.env("PYTHONPYCACHEPREFIX", root().join("target/python-cache")).env_remove("PYTHONDONTWRITEBYTECODE");
     command
 }
 
