@@ -101,7 +101,7 @@ const CRATES: [Border; 30] = [
 ];
 
 /// Packages that may use the whole workspace: nothing depends on them.
-const ABOVE_ALL: [&str; 4] = ["abbe-benches", "abbe-campaigns", "abbe-examples", "abbe-tests"];
+const ABOVE_ALL: [&str; 5] = ["abbe-benches", "abbe-campaigns", "abbe-examples", "abbe-python", "abbe-tests"];
 
 /// The crates that plugins may use.
 const FOR_PLUGINS: [&str; 18] = [

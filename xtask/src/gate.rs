@@ -5,14 +5,14 @@ use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::{Outcome, borders, cargo, header, linuxcnc, packages, root, run as run_command, untested};
+use crate::{Outcome, borders, cargo, header, linuxcnc, packages, python, root, run as run_command, untested};
 
 /// Tests that need another program stand in a module of this name.
 const OUTSIDE: &str = "outside::";
 
 /// What the tests are built with besides the default: histories on a server, which the second part tries on a real one, and tables
 /// in Parquet and Arrow, which it exchanges with another implementation. One list, so that nothing is built twice.
-const FEATURES: [&str; 2] = ["--features", "abbe-tests/postgres,abbe-tests/parquet"];
+pub const FEATURES: [&str; 2] = ["--features", "abbe-tests/postgres,abbe-tests/parquet"];
 
 /// What a test prints before its name and the reason why it was skipped.
 const SKIPPED: &str = "SKIPPED: ";
@@ -80,7 +80,7 @@ fn other_programs(tests: &mut Tests) -> Outcome {
     let of_control = tests.run(&[&whole[..], &linuxcnc::TESTS, &["--test-threads=1"]].concat());
     let without_control = linuxcnc::TESTS.iter().flat_map(|name| ["--skip", *name]);
     let of_tests = tests.run(&whole.into_iter().chain([OUTSIDE]).chain(without_control).collect::<Vec<_>>());
-    let others = [of_control, of_tests, tests.oldest_rust(), tests.licences()];
+    let others = [of_control, of_tests, tests.python(), tests.oldest_rust(), tests.licences()];
     let failed: Vec<String> = others.into_iter().filter_map(Result::err).collect();
     if failed.is_empty() { Ok(()) } else { Err(failed.join("; ")) }
 }
@@ -116,6 +116,15 @@ impl Tests {
         }
         // Others may print at the same time: the line may begin with what they do.
         self.skipped.extend(line.split_once(SKIPPED).map(|(_, what)| what.to_owned()));
+    }
+
+    /// The tests and doctests of the Python package.
+    fn python(&mut self) -> Outcome {
+        let found = python::tests(&FEATURES)?;
+        self.passed += found.passed;
+        self.failed += found.failed;
+        self.skipped.extend(found.skipped);
+        Ok(())
     }
 
     /// Whether the oldest Rust that the manifest promises compiles the program.

@@ -16,6 +16,7 @@
 //!   checks of debug builds.
 //! - `cargo xtask header`: write the C header of the plugin interface.
 //! - `cargo xtask linuxcnc [--create-user]`: run the files for LinuxCNC on LinuxCNC itself, in simulation; it needs a user of its own.
+//! - `cargo xtask python`: build the Python package and run its tests and doctests; they need numpy and pytest.
 //! - `cargo xtask schema`: write what follows from the plugins: the schema of recipes, the pages in `docs/plugins`, and the schemas of what
 //!   crosses the border of plugins, in `docs/schemas/plugin`.
 
@@ -23,6 +24,7 @@ mod borders;
 mod gate;
 mod header;
 mod linuxcnc;
+mod python;
 mod untested;
 
 use std::collections::BTreeMap;
@@ -81,9 +83,10 @@ fn main() -> ExitCode {
         ["header"] => header::write(),
         ["linuxcnc"] => linuxcnc::run(false),
         ["linuxcnc", "--create-user"] => linuxcnc::run(true),
+        ["python"] => python::run(),
         ["schema"] => schema(),
         _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign NAME COUNT SEED | fuzz [--release] --executions COUNT --seed SEED [TARGET] | mutate --runs COUNT --seed SEED | header | linuxcnc [--create-user] \
-                     | schema\ncampaigns: controls, machines, compensation, tango, bad-inputs, signals, hostile, sizes; \
+                     | python | schema\ncampaigns: controls, machines, compensation, tango, bad-inputs, signals, hostile, sizes; \
                      coverage COUNT; limits COUNT; faults all"
             .to_owned()),
     };

@@ -80,6 +80,8 @@ pub struct Assembly {
     keep: Filters,
     motion: Option<Motion>,
     within: Ranges,
+    /// One table stands in the place of all files.
+    is_one_table: bool,
     average: Option<Average>,
 }
 
@@ -108,6 +110,7 @@ impl Assembly {
             keep,
             motion: None,
             within: Ranges::new(),
+            is_one_table: false,
             average: None,
         })
     }
@@ -127,6 +130,11 @@ impl Assembly {
         Self { average, ..self }
     }
 
+    /// The same with one table in the place of all files. It is named as the first of them.
+    pub fn of_one_table(self) -> Self {
+        Self { is_one_table: true, ..self }
+    }
+
     /// The files that it reads.
     pub fn inputs(&self) -> Vec<InputFile> {
         let input = |setting| move |path| InputFile { setting, path };
@@ -135,7 +143,7 @@ impl Assembly {
             files => files,
         });
         let table = self.join.iter().map(|(table, _)| table.clone());
-        files.map(input("path")).chain(table.map(input("join"))).collect()
+        files.filter(|_| !self.is_one_table).map(input("path")).chain(table.map(input("join"))).collect()
     }
 
     /// The columns of the data set, from what `load` tells of each file without rows.
@@ -191,8 +199,9 @@ impl Assembly {
     /// rows stay after `motion`.
     fn assemble(&self, load: Load<'_>, table: Load<'_>) -> Result<(Dataset, Vec<bool>)> {
         let mut data = Dataset::default();
-        for source in &self.sources {
-            let files = source.files();
+        let sources = if self.is_one_table { &self.sources[..1] } else { &self.sources };
+        for source in sources {
+            let files = if self.is_one_table { vec![source.path.clone()] } else { source.files() };
             if files.is_empty() {
                 return Err(Error::usage(format!("no file matches `{}`", source.path.display()))
                     .help("`*` and `?` stand for parts of the name of a file; the folder has to be there")
@@ -367,8 +376,11 @@ fn join(data: &mut Dataset, table: &Dataset, on: &str, by_file: bool) -> Result<
     Ok(())
 }
 
-/// The rows that stay; each keeps its origin.
+/// The rows that stay; each keeps its origin. Where all stay nothing is copied.
 fn selected(data: Dataset, stays: &[bool]) -> Dataset {
+    if !stays.contains(&false) {
+        return data;
+    }
     let rows: Vec<DataRow> = data.row_indices().filter(|&row| stays[row]).collect();
     let columns =
         data.columns.iter().map(|column| Column { header: column.header.clone(), values: pick(&column.values, &rows) });

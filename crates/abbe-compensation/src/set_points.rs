@@ -45,6 +45,13 @@ impl SetPoints {
         // What is corrected is what was read.
         let text = abbe_table::read_text(path)?;
         let data = abbe_table::parse(path, text.as_bytes())?;
+        Ok(Self { path: path.to_owned(), text, ..Self::of_data(data, model, time)? })
+    }
+
+    /// The same for set-points that are read. They have no text: only a file can be written again with other commands.
+    ///
+    /// Fails as [`read_at`](Self::read_at) does.
+    pub fn of_data(data: Dataset, model: &dyn KinematicModel, time: Option<f64>) -> Result<Self> {
         let file = data.files.first();
         let in_file = |error: Error| file.map_or_else(|| error.clone(), |file| error.clone().in_file(file));
         let info = model.info();
@@ -121,7 +128,7 @@ impl SetPoints {
                 );
             }
         }
-        Ok(Self { path: path.to_owned(), text, data, statuses, directions_of_path })
+        Ok(Self { path: PathBuf::new(), text: String::new(), data, statuses, directions_of_path })
     }
 
     /// The statuses, point by point: points x columns of [`ModelInfo::status`](abbe_core::ModelInfo::status).
@@ -160,12 +167,12 @@ impl SetPoints {
         self.data.origins[DataRow(point)].line
     }
 
-    /// An error about a pose with the line of its point.
+    /// An error about a pose with the line of its point, or with its row if it stands in a table of a program.
     pub fn locate(&self, error: Error) -> Error {
         match error.pose {
             Some(point) if point < self.len() && error.place.is_none() => {
                 let origin = self.data.origins[DataRow(point)];
-                error.at(&self.data.files[origin.file], origin.line, None)
+                origin.blame(error, &self.data.files[origin.file])
             }
             _ => error,
         }
@@ -174,7 +181,7 @@ impl SetPoints {
     /// Warns with the lines of points.
     pub(crate) fn tell(&self, sentences: &[(usize, String)]) {
         for (point, sentence) in sentences {
-            tracing::warn!("{}:{}: {sentence}", self.path.display(), self.line(*point));
+            tracing::warn!("{}: {sentence}", self.data.origins[DataRow(*point)].in_file(&self.path));
         }
     }
 

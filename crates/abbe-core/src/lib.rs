@@ -20,6 +20,7 @@ mod quantities;
 mod registry;
 pub mod rotation;
 mod stage;
+mod table;
 mod uncertainty;
 
 pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, StatedTip, Values};
@@ -42,6 +43,7 @@ pub use problem::{
 pub use quantities::Quantities;
 pub use registry::{Build, Constructor, Context, EstimateSource, Kind, Origin, Plugin, Provider, Registry};
 pub use stage::{Artefact, CommandCorrection, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};
+pub use table::{Cell, ColumnCells, Field, RowsOfTable, SharedCells, Table};
 pub use uncertainty::{CovarianceBlock, EquationUncertainty, PooledRepeatability};
 
 // Types of settings and results. They are re-exported so that plugins need this crate alone.

@@ -10,6 +10,7 @@ use crate::dataset::{ColumnHeader, Dataset};
 use crate::model::KinematicModel;
 use crate::observations::{Observations, Target};
 use crate::problem::Problem;
+use crate::table::Table;
 use abbe_results::Findings;
 use abbe_results::{Calibration, Identifiability};
 use abbe_settings::{Error, Result};
@@ -37,6 +38,13 @@ pub trait Ingest: Send + Sync {
     /// Whether its files are tables, in which other numbers can be written. Default: they are.
     fn is_of_tables(&self) -> bool {
         true
+    }
+
+    /// The same stage with a table of a program in the place of its files. What its settings do to rows and columns they do to
+    /// those of the table. Default: it takes none.
+    fn with_table(self: Box<Self>, _table: Arc<Table>) -> Result<Box<dyn Ingest>> {
+        Err(Error::usage("this stage reads files of its own format, and no table can take their place")
+            .help("`ingest: csv` and the readers of Parquet and Arrow take tables"))
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Identifiability, Kind, Monitor, Result};
+use abbe_core::{Identifiability, Kind, Monitor, Problem, Result};
 use abbe_estimation::{dead_channels, remarks};
 use abbe_recipe::Stage;
 
@@ -27,8 +27,14 @@ pub struct Planned {
 impl Prepared {
     /// Everything but the fits: data, problems, and the identifiability of the fits at nominal contact.
     pub fn check(&self) -> Result<Vec<Planned>> {
-        let digests = digests(&input_records(&self.files)?);
-        let data = self.read(&Monitor::default(), None)?;
+        self.check_until(&Monitor::default())
+    }
+
+    /// The same, which the user may end on the way.
+    pub fn check_until(&self, monitor: &Monitor) -> Result<Vec<Planned>> {
+        let inputs = input_records(&self.files)?;
+        let data = self.read(monitor, None)?;
+        let digests = digests(&self.with_given(inputs, &data)?);
         let mut taken = Taken::default();
         let problems = self.problems(&data, &mut taken)?;
         self.evidence(&problems, &data, &digests)?;
@@ -36,6 +42,7 @@ impl Prepared {
         let (mut planned, mut found) = (Vec::new(), BTreeMap::new());
         for stage in self.stages(Kind::Estimate).filter(has_rows) {
             let Some(problem) = problems.get(&stage.name) else { continue };
+            monitor.check().map_err(|error| error.stage(&stage.name))?;
             let estimator = &self.estimators[&stage.name];
             let mut identifiability = self.located(stage, estimator.identify(problem))?;
             found.insert(stage.name.clone(), identifiability.clone());
@@ -54,6 +61,18 @@ impl Prepared {
         self.nothing_left_over(&data, &taken)?;
         self.rehearse(true, (&problems, &groups), &found, &unseen, &data)?;
         Ok(planned)
+    }
+
+    /// The problems of the estimates that are solved from measurements, by their names: model, observations and unknowns, for an
+    /// estimator outside this program. Nothing is solved, so values that an estimate takes from another one (`known`, `start`) are the
+    /// nominal ones.
+    pub fn posed(&self, monitor: &Monitor) -> Result<BTreeMap<String, Problem>> {
+        let inputs = input_records(&self.files)?;
+        let data = self.read(monitor, None)?;
+        self.with_given(inputs, &data)?;
+        let mut problems = self.problems(&data, &mut Taken::default())?;
+        problems.retain(|_, problem| !problem.sets.is_empty());
+        Ok(problems)
     }
 
     /// What a group determines, if that is less than all groups together: nothing is told of the others.

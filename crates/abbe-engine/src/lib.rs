@@ -10,6 +10,7 @@ mod circles;
 mod described;
 mod evidence;
 mod folder;
+mod given;
 mod groups;
 mod laws;
 mod outcome;
@@ -43,6 +44,7 @@ pub use abbe_planning::{LargestOfInput, Order, Plan, PlanFigures, Reached, Revis
 pub use check::Planned;
 pub use described::{Described, prepare_text};
 pub use folder::{can_write_folder, write_folder};
+pub use given::{Given, prepare_given};
 pub use groups::day_of;
 pub use laws::Laws;
 pub use outcome::{CALIBRATION, Failure, Outcome, REPORT, VERDICTS, residuals_file};

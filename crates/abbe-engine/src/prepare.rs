@@ -15,7 +15,8 @@ use abbe_recipe::{Library, Recipe, Stage};
 use serde_json::Value;
 
 use crate::described::with_all_locations;
-use crate::record::PluginRecord;
+use crate::given::Given;
+use crate::record::{FileRecord, PluginRecord};
 use crate::row_settings::ArtefactRowSettings;
 use crate::run::{has_problem, has_rows};
 use crate::saved::{self, SavedCalibration};
@@ -40,6 +41,10 @@ pub struct Prepared {
     pub(crate) plugins: Vec<PluginRecord>,
     /// Every file that the recipe reads, itself first.
     pub(crate) files: Vec<PathBuf>,
+    /// The record of the recipe, if a program gives its text.
+    pub(crate) given_recipe: Option<FileRecord>,
+    /// The digests of tables that a program gives in the place of files, by their stages.
+    pub(crate) tables: BTreeMap<String, String>,
 }
 
 /// Bytes of the largest file that a stage may read which is no measurement: nominal places, statements, tables of a control.
@@ -53,11 +58,11 @@ type Schemas = BTreeMap<(Kind, String), Value>;
 /// Fails with [`abbe_core::Class::Use`] on everything that is wrong with the recipe, the files that it names and their
 /// headers.
 pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
-    prepared(Recipe::read(path, registry)?, registry)
+    prepared(Recipe::read(path, registry)?, registry, &Given::default())
 }
 
 /// Builds the stages of a recipe and checks them.
-pub(crate) fn prepared(recipe: Recipe, registry: &Registry) -> Result<Prepared> {
+pub(crate) fn prepared(recipe: Recipe, registry: &Registry, given: &Given) -> Result<Prepared> {
     let loaded = |library: &&Library| {
         registry.iter().any(|plugin| matches!(&plugin.origin, Origin::Library { file, .. } if *file == library.path))
     };
@@ -77,7 +82,9 @@ pub(crate) fn prepared(recipe: Recipe, registry: &Registry) -> Result<Prepared> 
         plausible: BTreeMap::new(),
         validators: BTreeMap::new(),
         exporters: BTreeMap::new(),
-        files: vec![recipe.path.clone()],
+        files: if given.recipe.is_some() { Vec::new() } else { vec![recipe.path.clone()] },
+        given_recipe: given.recipe_record(&recipe.path),
+        tables: BTreeMap::new(),
         plugins: Vec::new(),
         recipe,
     };
@@ -86,6 +93,7 @@ pub(crate) fn prepared(recipe: Recipe, registry: &Registry) -> Result<Prepared> 
     let mut schemas = Schemas::new();
     for stage in prepared.recipe.stages.clone() {
         let inputs = prepared.build(&stage, registry, &context, &mut schemas)?;
+        let inputs = prepared.take_table(&stage, given, inputs)?;
         prepared.files.extend(stage.files.iter().cloned());
         for InputFile { setting, path } in inputs {
             if !path.is_file() && prepared.is_planned(&stage.name) {

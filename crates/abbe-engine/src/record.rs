@@ -253,6 +253,6 @@ pub(crate) fn sha256_of(file: &Path) -> io::Result<String> {
     Ok(hexadecimal(digest.finalize().as_slice()))
 }
 
-fn hexadecimal(bytes: &[u8]) -> String {
+pub(crate) fn hexadecimal(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -53,6 +53,7 @@ impl Prepared {
         }
         self.same_content(&inputs).iter().for_each(|sentence| tracing::warn!("{sentence}"));
         let data = self.read(monitor, None)?;
+        let inputs = self.with_given(inputs, &data)?;
         let mut taken = Taken::default();
         let problems = self.problems(&data, &mut taken)?;
         let digests = digests(&inputs);

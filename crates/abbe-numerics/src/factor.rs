@@ -61,12 +61,45 @@ impl Factor {
         &self.triangle
     }
 
-    pub(crate) fn right(&self) -> &[f64] {
+    /// `Q^T r`: the residuals in the directions of the factor.
+    pub fn right(&self) -> &[f64] {
         &self.right
     }
 
     pub(crate) fn of_rows(self, rows: usize) -> Self {
         Self { rows, ..self }
+    }
+
+    /// The factor of all rows of several factors of the same unknowns; None for factors of other numbers of unknowns, and for none.
+    ///
+    /// ```
+    /// use abbe_numerics::{Accumulator, Factor};
+    ///
+    /// let of = |rows: &[[f64; 3]]| {
+    ///     let mut accumulator = Accumulator::new(2, rows.len());
+    ///     rows.iter().for_each(|[one, two, residual]| accumulator.push(&[*one, *two], *residual, 1.0));
+    ///     accumulator.finish()
+    /// };
+    /// let rows = [[1.0, 0.0, 0.5], [1.0, 1.0, 0.7], [1.0, 2.0, 1.2], [1.0, 3.0, 1.1]];
+    /// let (one, two) = (of(&rows[..1]), of(&rows[1..]));
+    /// let both = Factor::combined(&[&one, &two]).unwrap();
+    /// assert_eq!(both.rows(), 4);
+    /// assert!((both.remaining_cost() - of(&rows).remaining_cost()).abs() < 1e-14);
+    /// ```
+    pub fn combined(factors: &[&Self]) -> Option<Self> {
+        let unknowns = factors.first()?.unknowns();
+        if factors.iter().any(|factor| factor.unknowns() != unknowns) {
+            return None;
+        }
+        let mut accumulator = Accumulator::new(unknowns, factors.len() * (unknowns + 1));
+        for factor in factors {
+            for row in 0..unknowns {
+                let line: Vec<f64> = (0..unknowns).map(|column| factor.triangle[(row, column)]).collect();
+                accumulator.push(&line, factor.right[row], 1.0);
+            }
+            accumulator.push(&vec![0.0; unknowns], factor.rest.sqrt(), 1.0);
+        }
+        Some(accumulator.finish().of_rows(factors.iter().map(|factor| factor.rows).sum()))
     }
 
     /// The factor of the same rows with zeros in the columns of some unknowns.

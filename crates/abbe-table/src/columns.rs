@@ -1,52 +1,32 @@
-//! Tables of files that hold columns and not text: the same meaning as a table in CSV.
+//! Tables that come by columns, of files or of programs: the same meaning as a table in CSV.
 
-use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use abbe_core::{Column, ColumnHeader, Dataset, Error, Quantity, Result, RowOrigin, Values};
+use abbe_core::{Cell, Column, ColumnCells, ColumnHeader, Dataset, Error, Field, Quantity, Result, RowOrigin, Values};
 
 use crate::empty_column;
 use crate::layout::{Layout, Unit};
 use crate::number::{help_for, number_held, number_of, shown};
 use crate::parse::LONGEST_CELL;
 
-/// A column of a file: its name, and its unit if the file states one beside the name.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Field {
-    /// The name, with its unit or without.
-    pub name: String,
-    /// The unit that the file states: the symbol of a suffix (`mm`, `um/m`) or of a unit that people write in (`in`).
-    pub unit: Option<String>,
-}
-
-/// What a cell holds.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Cell<'a> {
-    /// Nothing: an empty cell of a table in CSV.
-    Missing,
-    /// A number.
-    Number(f64),
-    /// A whole number.
-    Whole(i128),
-    /// A text.
-    Text(Cow<'a, str>),
-}
-
-/// The cells of a column, in some rows that follow each other.
-pub trait ColumnCells {
-    /// The cell of a row, from 0.
-    fn cell(&self, row: usize) -> Cell<'_>;
-}
-
-/// A column of the data set, and where it stands in the file.
+/// A column of the data set, and where it stands in the table.
 struct Taken {
     header: ColumnHeader,
     field: usize,
     unit: Option<Unit>,
+    /// From the unit of the header to the one used in memory.
+    factor: f64,
 }
 
-/// The columns that a layout takes of a file: `columns` if it has some, else all.
+impl Taken {
+    fn new(header: ColumnHeader, field: usize, unit: Option<Unit>) -> Self {
+        let (.., factor) = Quantity::of_column(&header.header);
+        Self { header, field, unit, factor }
+    }
+}
+
+/// The columns that a layout takes of a table: `columns` if it has some, else all.
 pub struct NamedColumns {
     path: PathBuf,
     taken: Vec<Taken>,
@@ -63,19 +43,19 @@ impl NamedColumns {
                     let field = place_of(&source.column, fields).map_err(wrong)?;
                     let header = ColumnHeader::parse(name);
                     let unit = unit_of(&header, source.unit, &fields[field]).map_err(wrong)?;
-                    taken.push(Taken { header, field, unit });
+                    taken.push(Taken::new(header, field, unit));
                 }
             }
             None => {
                 for (index, field) in fields.iter().enumerate() {
                     let (header, unit) = named(field).map_err(wrong)?;
-                    taken.push(Taken { header, field: index, unit });
+                    taken.push(Taken::new(header, index, unit));
                 }
                 check_names(&taken).map_err(wrong)?;
             }
         }
         if taken.is_empty() {
-            return Err(wrong(Error::usage("the file has no columns").help("one with measurements was expected")));
+            return Err(wrong(Error::usage("there are no columns").help("a table of measurements was expected")));
         }
         Ok(Self { path: path.to_owned(), taken })
     }
@@ -85,9 +65,15 @@ impl NamedColumns {
         self.taken.iter().map(|column| column.header.clone()).collect()
     }
 
-    /// The columns in the file, by their indices, in the order of [`NamedColumns::headers`].
+    /// The columns in the table, by their indices, in the order of [`NamedColumns::headers`].
     pub fn fields(&self) -> Vec<usize> {
         self.taken.iter().map(|column| column.field).collect()
+    }
+
+    /// The data set without its rows.
+    pub fn without_rows(&self) -> Dataset {
+        let columns = self.headers().into_iter().map(empty_column).collect();
+        Dataset { columns, files: vec![self.path.clone()], ..Dataset::default() }
     }
 }
 
@@ -138,11 +124,11 @@ fn unit_of(header: &ColumnHeader, declared: Option<Unit>, field: &Field) -> Resu
         (None, None) => Err(unknown(&field.name, symbol)),
         (Some(declared), Some(unit)) if declared.is_same(unit) => Ok(Some(declared)),
         (Some(declared), _) => Err(Error::usage(format!(
-            "the file says that `{}` is in `{symbol}`, `columns` says `{}`",
+            "the table says that `{}` is in `{symbol}`, `columns` says `{}`",
             shown(&field.name),
             declared.symbol()
         ))
-        .help("leave `unit` out: the file has it")),
+        .help("leave `unit` out: the table has it")),
     }
 }
 
@@ -163,24 +149,24 @@ fn as_suffix(symbol: &str) -> String {
 }
 
 fn unknown(name: &str, symbol: &str) -> Error {
-    let message = format!("the file says that `{}` is in `{}`, which is no known unit", shown(name), shown(symbol));
+    let message = format!("the table says that `{}` is in `{}`, which is no known unit", shown(name), shown(symbol));
     Error::usage(message).help(format!("known are {}, 1/K", Unit::symbols()))
 }
 
 fn contradiction(field: &Field, symbol: &str) -> Error {
     Error::usage(format!(
-        "the file says that `{}` is in `{symbol}`, and its name says another unit",
+        "the table says that `{}` is in `{symbol}`, and its name says another unit",
         shown(&field.name)
     ))
-    .help("correct the file: one of them is wrong")
+    .help("correct it: one of them is wrong")
 }
 
 fn contradiction_of(header: &str, field: &Field, symbol: &str) -> Error {
     Error::usage(format!(
-        "the file says that `{}` is in `{symbol}`, which is no unit of `{header}`",
+        "the table says that `{}` is in `{symbol}`, which is no unit of `{header}`",
         shown(&field.name)
     ))
-    .help("correct the name under `columns`, or the file")
+    .help("correct the name under `columns`, or the unit")
 }
 
 /// The place of a column by its name.
@@ -188,8 +174,9 @@ fn place_of(name: &str, fields: &[Field]) -> Result<usize> {
     let mut places = (0..fields.len()).filter(|&place| fields[place].name.trim() == name.trim());
     match (places.next(), places.next()) {
         (Some(place), None) => Ok(place),
-        (Some(_), Some(_)) => Err(Error::usage(format!("there are two columns `{}`", shown(name)))
-            .help("give one of them another name in the file")),
+        (Some(_), Some(_)) => {
+            Err(Error::usage(format!("there are two columns `{}`", shown(name))).help("give one of them another name"))
+        }
         _ => {
             let named: Vec<String> = fields.iter().map(|field| format!("`{}`", shown(&field.name))).collect();
             let message = format!("there is no column `{}`; the columns are {}", shown(name), named.join(", "));
@@ -209,14 +196,14 @@ fn check_names(taken: &[Taken]) -> Result<()> {
                 true => format!("there are two columns `{twin}`"),
                 false => format!("the columns `{twin}` and `{}` are both named `{}`", header.header, header.name),
             };
-            return Err(Error::usage(message).help("give one of them another name in the file"));
+            return Err(Error::usage(message).help("give one of them another name"));
         }
     }
     Ok(())
 }
 
 /// A data set that grows by rows, some at a time.
-pub struct ColumnsOfFile<'a> {
+pub struct DataOfColumns<'a> {
     named: NamedColumns,
     layout: &'a Layout,
     columns: Vec<Column>,
@@ -228,7 +215,7 @@ pub struct ColumnsOfFile<'a> {
     numbers: Vec<f64>,
 }
 
-impl<'a> ColumnsOfFile<'a> {
+impl<'a> DataOfColumns<'a> {
     /// Without rows yet. `most` is the number of bytes that the content may have: 8 for each cell, and those of texts.
     pub fn new(named: NamedColumns, layout: &'a Layout, most: u64) -> Self {
         let columns = named.headers().into_iter().map(empty_column).collect();
@@ -238,7 +225,14 @@ impl<'a> ColumnsOfFile<'a> {
     /// Adds rows: the cells of each column, in the order of [`NamedColumns::headers`].
     ///
     /// Fails as reading the same table in CSV does, with the number of the row.
-    pub fn add(&mut self, rows: usize, cells: &[Box<dyn ColumnCells + '_>]) -> Result<()> {
+    pub fn add(&mut self, rows: usize, cells: &[&dyn ColumnCells]) -> Result<()> {
+        self.origins.reserve(rows);
+        for column in &mut self.columns {
+            match &mut column.values {
+                Values::Numbers(numbers) => numbers.reserve(rows),
+                Values::Labels(labels) => labels.reserve(rows),
+            }
+        }
         for row in 0..rows {
             self.rows += 1;
             self.add_row(row, cells).map_err(|error| {
@@ -249,7 +243,7 @@ impl<'a> ColumnsOfFile<'a> {
         Ok(())
     }
 
-    fn add_row(&mut self, row: usize, cells: &[Box<dyn ColumnCells + '_>]) -> Result<()> {
+    fn add_row(&mut self, row: usize, cells: &[&dyn ColumnCells]) -> Result<()> {
         self.numbers.clear();
         for (taken, cells) in self.named.taken.iter().zip(cells) {
             if taken.header.quantity == Quantity::Label {
@@ -288,8 +282,8 @@ impl<'a> ColumnsOfFile<'a> {
     pub fn finish(self) -> Result<(Dataset, usize)> {
         if self.origins.is_empty() {
             let (message, help) = match self.rows {
-                0 => ("the file has no data rows", "write it again with rows"),
-                _ => ("all rows of the file hold a mark of `no_data`", "`no_data` may list what is a number"),
+                0 => ("the table has no data rows", "one with measurements was expected"),
+                _ => ("all rows of the table hold a mark of `no_data`", "`no_data` may list what is a number"),
             };
             return Err(Error::data(message).in_file(&self.named.path).help(help));
         }
@@ -318,10 +312,11 @@ fn number(taken: &Taken, cell: &Cell<'_>, layout: &Layout) -> Result<f64> {
             None => Error::data(message),
         })
     };
+    let held = |number| number_held(header, (taken.header.quantity, taken.factor), number, taken.unit);
     match cell {
         Cell::Missing => of_text(""),
-        Cell::Number(number) => number_held(header, *number, taken.unit).map_err(|message| help_held(message, *number)),
-        Cell::Whole(number) => number_held(header, *number as f64, taken.unit).map_err(Error::data),
+        Cell::Number(number) => held(*number).map_err(|message| help_held(message, *number)),
+        Cell::Whole(number) => held(*number as f64).map_err(Error::data),
         Cell::Text(text) => of_text(text),
     }
 }

@@ -5,7 +5,7 @@
 //! A cell may be quoted, but stays on its line, and has 64 KiB at most. What a column holds follows from its name
 //! ([`abbe_core::Quantity::of_column`]); numbers are converted to the unit used in memory. A [`Layout`] describes files of
 //! instruments and spreadsheets that are written otherwise: nothing of it is guessed. A file may be packed by gzip or
-//! Zstandard: its content decides, and lines are those of what is packed. Tables that come by columns ([`ColumnsOfFile`]) have the same meaning.
+//! Zstandard: its content decides, and lines are those of what is packed. Tables that come by columns ([`DataOfColumns`]) have the same meaning.
 
 mod columns;
 mod layout;
@@ -13,6 +13,7 @@ mod number;
 mod parse;
 mod rewrite;
 mod settings;
+mod shared;
 mod survey;
 mod text;
 
@@ -24,11 +25,12 @@ use std::path::{Path, PathBuf};
 use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Quantity, Result, Values};
 
 pub use abbe_core::ranges::TEMPERATURES;
-pub use columns::{Cell, ColumnCells, ColumnsOfFile, Field, NamedColumns};
+pub use columns::{DataOfColumns, NamedColumns};
 pub use layout::{ColumnSource, Decimal, Encoding, Layout, Separator, Thousands, Unit};
 pub use number::{number, number_in};
 pub use rewrite::{Cells, with_cells, with_cells_laid_out, with_columns};
 pub use settings::{ColumnInUnit, Declared, Source};
+pub use shared::{of_table, of_table_without_rows};
 pub use survey::{Contents, Found, Jump, Likely, Summary, contents, likely};
 
 /// Reads the columns of a file, not its rows.

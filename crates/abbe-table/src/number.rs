@@ -34,33 +34,44 @@ pub(crate) fn number_of(header: &str, cell: &str, unit: Option<Unit>, layout: &L
     // Blanks separate degrees, minutes and seconds.
     let thousands = if unit.is_some_and(Unit::is_sexagesimal) { Thousands::None } else { layout.thousands };
     let value = plain(cell, layout.decimal, thousands).and_then(|written| read(&written));
-    checked(header, quantity, value, cell).unwrap_or_else(|| match cell.is_empty() {
+    checked(header, quantity, value, || cell.into()).unwrap_or_else(|| match cell.is_empty() {
         true => Err(format!("`{header}` is empty; a number was expected")),
         false => Err(format!("`{header}` is `{}`; {} was expected", shown(cell), expected(cell, layout))),
     })
 }
 
 /// A number that a file holds as such, in the unit used in memory; else says what is wrong. The same as [`number_of`] of its digits.
-pub(crate) fn number_held(header: &str, held: f64, unit: Option<Unit>) -> Result<f64, String> {
-    let (_, quantity, factor) = Quantity::of_column(header);
+/// `of_header` is the quantity of the column, and the factor to the unit used in memory.
+pub(crate) fn number_held(
+    header: &str,
+    of_header: (Quantity, f64),
+    held: f64,
+    unit: Option<Unit>,
+) -> Result<f64, String> {
+    let (quantity, factor) = of_header;
     let value = match unit {
         Some(unit) => unit.convert(held),
         None => held * factor,
     };
-    checked(header, quantity, Some(value), &held.to_string()).unwrap_or(Ok(value))
+    checked(header, quantity, Some(value), || held.to_string().into()).unwrap_or(Ok(value))
 }
 
-/// A number that may stand in a column, or what is wrong with it; none where there is none.
-fn checked(header: &str, quantity: Quantity, value: Option<f64>, cell: &str) -> Option<Result<f64, String>> {
+/// A number that may stand in a column, or what is wrong with it; none where there is none. `cell` is how it is written.
+fn checked<'a>(
+    header: &str,
+    quantity: Quantity,
+    value: Option<f64>,
+    cell: impl Fn() -> Cow<'a, str>,
+) -> Option<Result<f64, String>> {
     Some(match value? {
         value if quantity == Quantity::Temperature && !TEMPERATURES.contains(&value) => Err(format!(
             "`{header}` is `{}`; a temperature from {} to {} °C was expected",
-            shown(cell),
+            shown(&cell()),
             TEMPERATURES.start(),
             TEMPERATURES.end()
         )),
         value if value.is_finite() => Ok(value),
-        _ => Err(format!("`{header}` is `{}`, which is not a finite number", shown(cell))),
+        _ => Err(format!("`{header}` is `{}`, which is not a finite number", shown(&cell()))),
     })
 }
 

@@ -4,6 +4,8 @@
 //! use, or an error that can be found without reading data rows; 3 a verdict failed; 130 interrupted by Ctrl-C, 143 by SIGTERM,
 //! 129 by a closed terminal (SIGHUP).
 
+pub use report::attach as attach_report;
+
 mod arguments;
 mod brief;
 mod browser;

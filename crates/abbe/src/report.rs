@@ -10,7 +10,7 @@ use crate::browser;
 use crate::doubts;
 use crate::outputs::{Written, is_free};
 
-/// Adds the page, and the residuals that it is made of, to the results. None, with a warning, if it cannot be made: that
+/// Adds the page about a run, and the residuals that it is made of, to the results. None, with a warning, if it cannot be made: that
 /// costs no result.
 pub fn attach(outcome: &mut Outcome) -> Option<Run> {
     let doubts = doubts::remarks(&outcome.fits);

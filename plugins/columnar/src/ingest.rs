@@ -1,9 +1,10 @@
 //! Ingest plugins `parquet` and `arrow-ipc`.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use abbe_assembly::{Assembly, Average, Filters, Join, Motion, Paths, Ranges, tell_left_out};
-use abbe_core::{ColumnHeader, Context, Dataset, Ingest, InputFile, Kind, Label, Result, SettingsError};
+use abbe_core::{ColumnHeader, Context, Dataset, Ingest, InputFile, Kind, Label, Result, SettingsError, Table};
 use abbe_table::{Declared, Layout};
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -98,7 +99,7 @@ fn build(format: Format, settings: Settings, context: &Context) -> Result<Box<dy
     let Settings { path, no_data, columns, constants, join, motion, within, ignore, keep, average } = settings;
     let layout = Declared { no_data, columns, ..Declared::default() }.layout()?;
     let assembly = Assembly::new(path, constants, join, [ignore, keep], context)?.in_passing(motion, within)?;
-    Ok(Box::new(Columnar { format, assembly: assembly.averaged(average), layout }))
+    Ok(Box::new(Columnar { format, assembly: assembly.averaged(average), layout, table: None }))
 }
 
 /// The stage.
@@ -106,6 +107,8 @@ struct Columnar {
     format: Format,
     assembly: Assembly,
     layout: Layout,
+    /// What stands in the place of the files.
+    table: Option<Arc<Table>>,
 }
 
 impl Ingest for Columnar {
@@ -114,19 +117,26 @@ impl Ingest for Columnar {
     }
 
     fn headers(&self) -> Result<Vec<ColumnHeader>> {
-        let without_rows = |path: &std::path::Path| {
-            let columns = format::headers(self.format, path, &self.layout)?.into_iter().map(abbe_table::empty_column);
-            Ok(Dataset { columns: columns.collect(), files: vec![path.to_owned()], ..Dataset::default() })
-        };
-        Ok(self.assembly.without_rows(&without_rows)?.headers())
+        let data = self.assembly.without_rows(&|path| match &self.table {
+            Some(table) => abbe_table::of_table_without_rows(path, table, &self.layout),
+            None => format::without_rows(self.format, path, &self.layout),
+        })?;
+        Ok(data.headers())
     }
 
     fn read(&self) -> Result<Dataset> {
         self.assembly.read(&|path| {
-            let (data, left_out) = format::read(self.format, path, &self.layout)?;
+            let (data, left_out) = match &self.table {
+                Some(table) => abbe_table::of_table(path, table, &self.layout)?,
+                None => format::read(self.format, path, &self.layout)?,
+            };
             tell_left_out(path, left_out);
             Ok(data)
         })
+    }
+
+    fn with_table(self: Box<Self>, table: Arc<Table>) -> Result<Box<dyn Ingest>> {
+        Ok(Box::new(Self { assembly: self.assembly.of_one_table(), table: Some(table), ..*self }))
     }
 
     fn is_of_tables(&self) -> bool {

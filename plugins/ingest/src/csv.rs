@@ -2,9 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Arc;
 
 use abbe_assembly::{Assembly, Average, Filters, Join, Motion, Paths, Ranges, tell_left_out, without_rows};
-use abbe_core::{ColumnHeader, Context, Dataset, Ingest, InputFile, Label, Result, SettingsError};
+use abbe_core::{ColumnHeader, Context, Dataset, Ingest, InputFile, Label, Result, SettingsError, Table};
 use abbe_table::{Decimal, Declared, Encoding, Layout, Separator, Thousands};
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -76,6 +77,8 @@ fn yes() -> bool {
 struct Csv {
     assembly: Assembly,
     layout: Layout,
+    /// A table of a program, in the place of the files.
+    table: Option<Arc<Table>>,
 }
 
 abbe_core::register!(
@@ -113,7 +116,7 @@ pub(crate) fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ing
     };
     let Settings { path, constants, join, ignore, keep, average, motion, within, .. } = settings;
     let assembly = Assembly::new(path, constants, join, [ignore, keep], context)?.in_passing(motion, within)?;
-    Ok(Box::new(Csv { assembly: assembly.averaged(average), layout: layout.layout()? }))
+    Ok(Box::new(Csv { assembly: assembly.averaged(average), layout: layout.layout()?, table: None }))
 }
 
 impl Ingest for Csv {
@@ -122,16 +125,29 @@ impl Ingest for Csv {
     }
 
     fn headers(&self) -> Result<Vec<ColumnHeader>> {
-        Ok(self.assembly.without_rows(&|path| without_rows(path, &self.layout))?.headers())
+        let data = self.assembly.without_rows(&|path| match &self.table {
+            Some(table) => abbe_table::of_table_without_rows(path, table, &self.layout),
+            None => without_rows(path, &self.layout),
+        })?;
+        Ok(data.headers())
     }
 
     fn read(&self) -> Result<Dataset> {
-        self.assembly.read(&|path| rows_of(path, &self.layout))
+        self.assembly.read(&|path| self.rows_of(path))
+    }
+
+    fn with_table(self: Box<Self>, table: Arc<Table>) -> Result<Box<dyn Ingest>> {
+        Ok(Box::new(Self { assembly: self.assembly.of_one_table(), table: Some(table), ..*self }))
     }
 }
 
-fn rows_of(path: &Path, layout: &Layout) -> Result<Dataset> {
-    let (data, left_out) = abbe_table::read_laid_out(path, layout)?;
-    tell_left_out(path, left_out);
-    Ok(data)
+impl Csv {
+    fn rows_of(&self, path: &Path) -> Result<Dataset> {
+        let (data, left_out) = match &self.table {
+            Some(table) => abbe_table::of_table(path, table, &self.layout)?,
+            None => abbe_table::read_laid_out(path, &self.layout)?,
+        };
+        tell_left_out(path, left_out);
+        Ok(data)
+    }
 }

@@ -1,7 +1,10 @@
 use std::fs;
 use std::path::Path;
+use std::sync::Arc;
 
-use abbe_core::{Class, Context, DataRow, Dataset, Ingest, Values, path_text};
+use abbe_core::{
+    Cell, Class, Context, DataRow, Dataset, Field, Ingest, RowsOfTable, SharedCells, Table, Values, path_text,
+};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -376,4 +379,34 @@ fn layouts_that_cannot_be_are_refused() {
         let error = read(files, &with(more.clone())).unwrap_err();
         assert!(error.contains(expected), "{more}: {error}");
     }
+}
+
+/// Settings do to a table of a program what they do to the file in whose place it stands, which nobody reads.
+#[test]
+fn a_table_stands_in_the_place_of_files() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("styli.csv"), "point,tip_um\na,5\nb,6\n").unwrap();
+    let settings = json!({ "path": "bar-1.csv", "constants": { "T_degC": 20 }, "join": { "table": "styli.csv", "on": "point" },
+        "columns": { "point": "p", "X_mm": { "column": "x", "unit": "um" } }, "no_data": [-1], "ignore": { "point": ["c"] },
+        "average": { "over": "file", "by": ["point"] } });
+    let points = ["a", "b", "a", "c", "b"];
+    let numbers = [1000.0, 2000.0, 3000.0, 7.0, -1.0];
+    let fields = ["p", "x"].map(|name| Field { name: name.to_owned(), unit: None }).into();
+    let part = |range: std::ops::Range<usize>| {
+        let texts: Vec<Cell<'static>> = points[range.clone()].iter().map(|text| Cell::Text((*text).into())).collect();
+        let cells: Vec<SharedCells> = vec![Box::new(texts), Box::new(numbers[range.clone()].to_vec())];
+        RowsOfTable { rows: range.len(), cells }
+    };
+    let table = Table { fields, parts: vec![part(0..2), part(2..5)] };
+    let given = stage(folder.path(), &settings).unwrap().with_table(Arc::new(table)).unwrap();
+    let found = given.read().unwrap();
+    assert_eq!(given.inputs().iter().map(|input| input.setting).collect::<Vec<_>>(), ["join"]);
+    assert_eq!(given.headers().unwrap(), found.headers());
+    let file: String = points.iter().zip(numbers).map(|(point, number)| format!("{point},{number}\n")).collect();
+    fs::write(folder.path().join("bar-1.csv"), format!("p,x\n{file}")).unwrap();
+    let mut expected = stage(folder.path(), &settings).unwrap().read().unwrap();
+    // A table has rows and no lines.
+    expected.origins.iter_mut().for_each(|origin| origin.line = 0);
+    assert_eq!(found, expected);
+    assert_eq!(found.rows(), 2);
 }

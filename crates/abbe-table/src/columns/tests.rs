@@ -5,14 +5,6 @@ use abbe_core::Values;
 use super::*;
 use crate::layout::ColumnSource;
 
-struct Column(Vec<Cell<'static>>);
-
-impl ColumnCells for Column {
-    fn cell(&self, row: usize) -> Cell<'_> {
-        self.0[row].clone()
-    }
-}
-
 fn field(name: &str, unit: &str) -> Field {
     Field { name: name.to_owned(), unit: Some(unit.to_owned()).filter(|unit| !unit.is_empty()) }
 }
@@ -25,13 +17,11 @@ fn text(text: &'static str) -> Cell<'static> {
 fn read(columns: &[(Field, Vec<Cell<'static>>)], layout: &Layout) -> Result<(Dataset, usize)> {
     let fields: Vec<Field> = columns.iter().map(|(field, _)| field.clone()).collect();
     let named = NamedColumns::new(Path::new("t.parquet"), &fields, layout)?;
-    let cells: Vec<Box<dyn ColumnCells>> = named
-        .fields()
-        .into_iter()
-        .map(|field| Box::new(Column(columns[field].1.clone())) as Box<dyn ColumnCells>)
-        .collect();
+    let cells: Vec<Box<dyn ColumnCells>> =
+        named.fields().into_iter().map(|field| Box::new(columns[field].1.clone()) as Box<dyn ColumnCells>).collect();
     let rows = columns.first().map_or(0, |(_, cells)| cells.len());
-    let mut data = ColumnsOfFile::new(named, layout, 1 << 20);
+    let mut data = DataOfColumns::new(named, layout, 1 << 20);
+    let cells: Vec<&dyn ColumnCells> = cells.iter().map(|cells| &**cells).collect();
     data.add(rows, &cells)?;
     data.finish()
 }
@@ -70,7 +60,7 @@ fn units_stand_in_names_or_beside_them() {
         assert_eq!(data.columns[0].values, Values::Numbers(vec![expected]), "{name} {unit}");
     }
     for (name, unit, expected) in [
-        ("X_mm", "um", "the file says that `X_mm` is in `um`, and its name says another unit"),
+        ("X_mm", "um", "the table says that `X_mm` is in `um`, and its name says another unit"),
         ("X_mm", "deg", "is in `deg`, which is no unit of `X_mm`"),
         ("scale_um_per_m", "mm", "is in `mm`, which is no unit of `scale_um_per_m`"),
         ("X", "furlong", "is in `furlong`, which is no known unit"),

@@ -14,8 +14,9 @@ use arrow_ipc::{Message, RecordBatch as Described, root_as_message};
 use arrow_schema::Schema;
 
 use super::Format::ArrowIpc;
-use super::built::{Growing, fields};
+use super::built::Growing;
 use super::guard::broken;
+use crate::arrow::fields;
 
 /// What a file begins and ends with. Zeros follow at the beginning, so that the stream begins at a multiple of 8; some writers add
 /// more of them.

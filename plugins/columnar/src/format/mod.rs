@@ -3,8 +3,6 @@
 #[cfg(feature = "parquet")]
 mod arrow_ipc;
 #[cfg(feature = "parquet")]
-mod cells;
-#[cfg(feature = "parquet")]
 mod guard;
 #[cfg(not(feature = "parquet"))]
 mod not_built;
@@ -16,9 +14,9 @@ mod tests;
 #[cfg(feature = "parquet")]
 mod built;
 #[cfg(feature = "parquet")]
-pub use built::{check, headers, parquet, read};
+pub use built::{check, parquet, read, without_rows};
 #[cfg(not(feature = "parquet"))]
-pub use not_built::{check, headers, parquet, read};
+pub use not_built::{check, parquet, read, without_rows};
 
 /// A format of files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use abbe_core::{ColumnHeader, Dataset, Error, Kind, Result, SettingsError};
+use abbe_core::{Dataset, Error, Kind, Result, SettingsError};
 use abbe_table::Layout;
 
 use super::Format;
@@ -17,7 +17,7 @@ pub fn check(format: Format, kind: Kind) -> Result<(), SettingsError> {
 }
 
 /// Fails.
-pub fn headers(format: Format, path: &Path, _: &Layout) -> Result<Vec<ColumnHeader>> {
+pub fn without_rows(format: Format, path: &Path, _: &Layout) -> Result<Dataset> {
     Err(not_built(format).in_file(path))
 }
 
@@ -42,7 +42,7 @@ mod tests {
     #[test]
     fn a_program_without_them_says_how_to_get_them() {
         for format in [Format::Parquet, Format::ArrowIpc] {
-            let error = headers(format, Path::new("a"), &Layout::default()).unwrap_err().to_string();
+            let error = without_rows(format, Path::new("a"), &Layout::default()).unwrap_err().to_string();
             assert!(error.starts_with(&format!("a: this program was built without {}", format.name())), "{error}");
             assert!(error.contains("cargo build --release --features parquet"), "{error}");
         }

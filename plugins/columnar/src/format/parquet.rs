@@ -16,8 +16,9 @@ use parquet::file::metadata::ParquetMetaData;
 use parquet::file::properties::WriterProperties;
 
 use super::Format::Parquet;
-use super::built::{Growing, UNIT, fields};
+use super::built::Growing;
 use super::guard::broken;
+use crate::arrow::{UNIT, fields};
 use crate::tables::{OfRows, Table};
 
 /// Rows that are read at a time.
