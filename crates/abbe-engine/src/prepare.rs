@@ -56,8 +56,8 @@ pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
     prepared(Recipe::read(path, registry)?, registry)
 }
 
-/// Builds the stages of a recipe and checks them.
-pub(crate) fn prepared(recipe: Recipe, registry: &Registry) -> Result<Prepared> {
+/// Builds the stages of a recipe and checks them, as [`prepare`].
+pub fn prepared(recipe: Recipe, registry: &Registry) -> Result<Prepared> {
     let loaded = |library: &&Library| {
         registry.iter().any(|plugin| matches!(&plugin.origin, Origin::Library { file, .. } if *file == library.path))
     };
@@ -127,6 +127,11 @@ pub(crate) fn prepared(recipe: Recipe, registry: &Registry) -> Result<Prepared> 
 }
 
 impl Prepared {
+    /// Every file that the recipe reads, itself first.
+    pub fn files(&self) -> &[PathBuf] {
+        &self.files
+    }
+
     /// Builds one stage; gives the files that it reads.
     fn build(
         &mut self,
