@@ -38,7 +38,7 @@ stages:
     observations: [bar]
     parameters: ["E*[1]", EC0Y, EA0Z, EB0Z]
   judge: { validate: residuals, of: fit, limits: { rms_um: 1 } }
-  table: { export: error-table, of: fit, step_mm: 100, step_deg: 30 }
+  table: { export: error-table, of: fit, step_mm: 100, ranges: { X: { from_mm: -300, to_mm: 300 }, Y: { from_mm: -300, to_mm: 300 }, Z: { from_mm: -300, to_mm: 300 } } }
 "#;
 
 impl Plant {

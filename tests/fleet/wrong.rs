@@ -196,7 +196,9 @@ fn mistakes_in_a_fleet_have_their_places() {
         assert!(!printed.stderr.contains("secret"), "{case}");
         said.push_str(&format!("{case}\n{}\n", printed.stderr.trim_end()));
     }
-    insta::assert_snapshot!("mistakes_in_a_fleet", said);
+    insta::with_settings!({ snapshot_path => "../snapshots" }, {
+        insta::assert_snapshot!("mistakes_in_a_fleet", said);
+    });
     for (case, arguments) in [
         ("no manifest", &["fleet", "run", "none.jsonl"][..]),
         ("another file", &["fleet", "status", "recipe.yaml"]),

@@ -123,7 +123,7 @@ fn family(name: &str, node: &Node<'_>, folder: &Path) -> Result<FamilyWanted> {
         let message = format!("`{name}` cannot name a family: letters, digits, `-` and `_` were expected");
         return Err(node.error(At::Key, message));
     }
-    if node.get("shards").is_some() {
+    if let Some(node) = node.get("shards") {
         let message = "shards of one huge data set are not there yet: the rows of an estimate have to fit into one job";
         return Err(node.error(At::Key, message).help("divide the measurements into recipes of their own, or thin them"));
     }
