@@ -67,9 +67,8 @@ fn the_values_are_those_of_single_runs() {
         assert!([0, 3].contains(&printed.status), "{}", printed.stderr);
         let calibration = |path: &Path| Calibration::from_json(&read(path)).unwrap_or_else(|error| panic!("{error}"));
         let single = calibration(&folder.path().join("single/single/fit.calibration.json"));
-        let of_fleet = folder
-            .path()
-            .join(format!("fleet.merged/calibrations/weekly-{machine}-{week}.fit.calibration.json"));
+        let of_fleet =
+            folder.path().join(format!("fleet.merged/calibrations/weekly-{machine}-{week}.fit.calibration.json"));
         let of_fleet = calibration(&of_fleet);
         assert_eq!(single.parameters.len(), of_fleet.parameters.len());
         for (one, other) in single.parameters.iter().zip(&of_fleet.parameters) {

@@ -1,7 +1,7 @@
 """Does the jobs of a fleet on a Ray cluster, then merges them: python ray_fleet.py MANIFEST [BATCH].
 
-All nodes see the folder of the manifest under the same path, and the program as `abbe` (or what ABBE names). RAY_ADDRESS names a
-cluster; without it Ray uses this machine.
+All nodes see the folder of the manifest under the same path, and the program as `abbe` (or what ABBE names).
+RAY_ADDRESS names a cluster; without it Ray uses this machine.
 """
 
 import json

@@ -51,7 +51,12 @@ impl Plant {
 
     /// With so many machines, each measured once.
     pub fn of(machines: usize) -> Self {
-        Self { machines: (0..machines).map(|number| format!("m{number:05}")).collect(), weeks: vec![1], seed: 5, table: true }
+        Self {
+            machines: (0..machines).map(|number| format!("m{number:05}")).collect(),
+            weeks: vec![1],
+            seed: 5,
+            table: true,
+        }
     }
 
     pub fn recipe(&self) -> &'static str {

@@ -30,8 +30,16 @@ fn a_poisoned_job_costs_no_other() {
     let mut random = Random::new(5);
     let mut rows = "name,mode,file\n".to_owned();
     for (name, mode) in [
-        ("first", "good"), ("crash", "abort"), ("second", "good"), ("hang", "hang"), ("third", "good"),
-        ("broken", "good"), ("changed", "good"), ("fourth", "good"), ("gone", "good"), ("fifth", "good"),
+        ("first", "good"),
+        ("crash", "abort"),
+        ("second", "good"),
+        ("hang", "hang"),
+        ("third", "good"),
+        ("broken", "good"),
+        ("changed", "good"),
+        ("fourth", "good"),
+        ("gone", "good"),
+        ("fifth", "good"),
     ] {
         rows.push_str(&format!("{name},{mode},data/{name}.csv\n"));
         write(&at.join(format!("data/{name}.csv")), &lengths(&mut random));

@@ -27,7 +27,12 @@ const KILLS: usize = 6;
 
 /// Does the jobs of a plant by a wrapper that is started by `wrapper` in a folder, while every process under `engine` that does jobs may
 /// be killed, and while another program does the same jobs. Then results are lost; in the end all is as one process makes it.
-fn survives(seed: u64, engine: impl Fn() -> Vec<u32>, wrapper: impl Fn(&Path) -> Command, is_worker: impl Fn(&str, &str) -> bool) {
+fn survives(
+    seed: u64,
+    engine: impl Fn() -> Vec<u32>,
+    wrapper: impl Fn(&Path) -> Command,
+    is_worker: impl Fn(&str, &str) -> bool,
+) {
     let mut random = Random::new(seed);
     let plant = Plant { weeks: (1..=4).collect(), ..Plant::of(10) };
     let one = temporary();
@@ -54,7 +59,10 @@ fn survives(seed: u64, engine: impl Fn() -> Vec<u32>, wrapper: impl Fn(&Path) ->
             killed += usize::from(kill(workers[random.below(workers.len())]));
             // Somebody else does the same jobs.
             if killed == 2 {
-                twice = Some(start(folder.path(), &["fleet", "job", "fleet.manifest.jsonl", "--index", "3", "--count", "30"]));
+                twice = Some(start(
+                    folder.path(),
+                    &["fleet", "job", "fleet.manifest.jsonl", "--index", "3", "--count", "30"],
+                ));
             }
         }
         std::thread::sleep(Duration::from_millis(25));
@@ -83,7 +91,11 @@ fn survives(seed: u64, engine: impl Fn() -> Vec<u32>, wrapper: impl Fn(&Path) ->
 fn without_calibrations<T: Clone>(
     files: &std::collections::BTreeMap<std::path::PathBuf, T>,
 ) -> std::collections::BTreeMap<std::path::PathBuf, T> {
-    files.iter().filter(|(name, _)| !name.starts_with("calibrations")).map(|(name, it)| (name.clone(), it.clone())).collect()
+    files
+        .iter()
+        .filter(|(name, _)| !name.starts_with("calibrations"))
+        .map(|(name, it)| (name.clone(), it.clone()))
+        .collect()
 }
 
 /// A wrapper of the folder `examples/fleet`.

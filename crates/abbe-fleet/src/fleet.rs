@@ -63,9 +63,8 @@ impl Fleet {
     /// # Errors
     /// With file, line and column for anything that can be wrong in it; what is wrong with the recipes is found by [`crate::plan`].
     pub fn read(path: &Path) -> Result<Self> {
-        let text = read_text(path, LARGEST_TEXT).map_err(|error| {
-            Error::usage(format!("{} cannot be read: {}", path.display(), abbe_files::why(&error)))
-        })?;
+        let text = read_text(path, LARGEST_TEXT)
+            .map_err(|error| Error::usage(format!("{} cannot be read: {}", path.display(), abbe_files::why(&error))))?;
         let document = Document::parse(path, &text)?;
         let root = document.root();
         root.map()?;
@@ -125,7 +124,9 @@ fn family(name: &str, node: &Node<'_>, folder: &Path) -> Result<FamilyWanted> {
     }
     if let Some(node) = node.get("shards") {
         let message = "shards of one huge data set are not there yet: the rows of an estimate have to fit into one job";
-        return Err(node.error(At::Key, message).help("divide the measurements into recipes of their own, or thin them"));
+        return Err(node
+            .error(At::Key, message)
+            .help("divide the measurements into recipes of their own, or thin them"));
     }
     node.only(&["recipe", "for", "set", "machine", "label", "at", "unit", "trials"])?;
     let Some(recipe) = node.get("recipe") else {

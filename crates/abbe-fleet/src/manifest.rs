@@ -241,9 +241,8 @@ impl Manifest {
     /// As [`Manifest::each_line`], and for a line that is no job.
     pub fn each_job(&self, range: Range<usize>, mut take: impl FnMut(usize, Job) -> Result<()>) -> Result<()> {
         self.each_line(range, |index, line| {
-            let job: Job = serde_json::from_str(&line).map_err(|error| {
-                Error::data(format!("this is no job: {error}")).at(&self.path, index + 2, None)
-            })?;
+            let job: Job = serde_json::from_str(&line)
+                .map_err(|error| Error::data(format!("this is no job: {error}")).at(&self.path, index + 2, None))?;
             match job.family < self.head.families.len() {
                 true => take(index, job),
                 false => Err(Error::data("there is no such family").at(&self.path, index + 2, None)),

@@ -108,11 +108,9 @@ struct Tables {
 impl Tables {
     fn new(out: &Path) -> Result<Self> {
         use Column::{Number, Text};
-        const JOB: [Column; 5] =
-            [Text("job"), Text("machine"), Text("label"), Number("at"), Text("unit_of_time")];
+        const JOB: [Column; 5] = [Text("job"), Text("machine"), Text("label"), Number("at"), Text("unit_of_time")];
         let of_job = |rest: &[Column]| [&JOB, rest].concat();
-        let jobs =
-            [Text("job"), Text("family"), Text("state"), Text("decision"), Text("reason"), Text("variables")];
+        let jobs = [Text("job"), Text("family"), Text("state"), Text("decision"), Text("reason"), Text("variables")];
         let parameters = [
             Text("estimate"),
             Text("parameter"),
@@ -177,7 +175,8 @@ impl Merging<'_> {
         match self.store.get(&job.job) {
             Some(content) => {
                 let found = serde_json::from_slice(&content).map_err(|error| {
-                    Error::data(format!("this is no result of a job: {error}")).in_file(&self.store.result_file(&job.job))
+                    Error::data(format!("this is no result of a job: {error}"))
+                        .in_file(&self.store.result_file(&job.job))
                 })?;
                 self.found(job, &job.name, found, self.files)
             }
@@ -248,8 +247,11 @@ impl Merging<'_> {
         self.told(job, name, state, &decision, &failures.join("; "))?;
         self.merged.jobs += 1;
         self.merged.calibrations += found.calibrations.len();
-        let stored: Vec<Stored> =
-            found.calibrations.into_iter().map(|calibration| stored(&job.history, &found.recipe, calibration)).collect();
+        let stored: Vec<Stored> = found
+            .calibrations
+            .into_iter()
+            .map(|calibration| stored(&job.history, &found.recipe, calibration))
+            .collect();
         for stored in &stored {
             self.parameters(name, stored)?;
             self.distributions(name, stored)?;
@@ -351,8 +353,7 @@ impl Merging<'_> {
 /// A row of a calibration: what the job is, then the rest.
 fn of_job<'a>(name: &'a str, stored: &'a Stored, rest: &[Cell<'a>]) -> Vec<Cell<'a>> {
     let at = if stored.unit.is_empty() { Cell::Missing } else { Cell::Number(stored.at) };
-    let head =
-        [Cell::Text(name), Cell::Text(&stored.machine), Cell::Text(&stored.label), at, Cell::Text(&stored.unit)];
+    let head = [Cell::Text(name), Cell::Text(&stored.machine), Cell::Text(&stored.label), at, Cell::Text(&stored.unit)];
     head.iter().chain(rest).copied().collect()
 }
 

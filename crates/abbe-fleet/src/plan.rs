@@ -27,7 +27,8 @@ pub fn plan(fleet: &Fleet, path: &Path, registries: &Registries<'_>) -> Result<(
     let mut jobs = Vec::new();
     for (index, wanted) in fleet.families.iter().enumerate() {
         let registry = registries(&wanted.recipe)?;
-        let family = FamilyPlan { index, wanted, registry: &registry, hashes: &hashes, history: fleet.history.is_some() };
+        let family =
+            FamilyPlan { index, wanted, registry: &registry, hashes: &hashes, history: fleet.history.is_some() };
         for planned in in_parallel(&wanted.jobs, None, |job| family.jobs(job)) {
             jobs.extend(planned?);
         }
@@ -91,7 +92,9 @@ impl FamilyPlan<'_> {
                 job: String::new(),
                 name: match &block {
                     None => wanted.name.clone(),
-                    Some(Trials { first, count, .. }) => format!("{}/trials {first}-{}", wanted.name, first + count - 1),
+                    Some(Trials { first, count, .. }) => {
+                        format!("{}/trials {first}-{}", wanted.name, first + count - 1)
+                    }
                 },
                 family: self.index,
                 variables: wanted.variables.clone(),
@@ -154,7 +157,9 @@ impl FamilyPlan<'_> {
             return Err(wrong("this is no estimate by trials in blocks; `monte-carlo` is one".to_owned()));
         }
         if stage.get("adaptive").is_some() {
-            return Err(wrong("trials in blocks need a number that is fixed before: `trials`, and not `adaptive`".into()));
+            return Err(wrong(
+                "trials in blocks need a number that is fixed before: `trials`, and not `adaptive`".into(),
+            ));
         }
         let all = stage["trials"].as_u64().and_then(|all| usize::try_from(all).ok()).filter(|all| *all > 0);
         let all = all.ok_or_else(|| wrong("the number of trials is missing: `trials: 100000`".to_owned()))?;
@@ -168,7 +173,8 @@ pub const BLOCK: &str = "block";
 pub const SOLVED: &str = "solved";
 
 /// What to do about a history that does not know when.
-const WHEN: &str = "write `at: \"{week}\"` and `unit: week`, or a date as 2026-03-02: the history orders calibrations by their times";
+const WHEN: &str =
+    "write `at: \"{week}\"` and `unit: week`, or a date as 2026-03-02: the history orders calibrations by their times";
 
 /// Whether an error is about what is written for all jobs of a family.
 fn is_of_family(error: &Error) -> bool {

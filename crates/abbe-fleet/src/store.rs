@@ -105,8 +105,7 @@ impl Store {
     /// # Errors
     /// If the disk does not take it.
     pub fn fail(&self, job: &str, reason: &str) -> Result<()> {
-        let mark =
-            FailureMark { abbe_fleet_failure: RESULT_FORMAT, job: job.to_owned(), reason: reason.to_owned() };
+        let mark = FailureMark { abbe_fleet_failure: RESULT_FORMAT, job: job.to_owned(), reason: reason.to_owned() };
         self.write(&self.failure_file(job), &[json!(mark).to_string().as_bytes(), b"\n"])
     }
 
@@ -142,7 +141,9 @@ impl Store {
             _ => Err(error),
         });
         again.map_err(|error| match error.kind() {
-            io::ErrorKind::NotFound => Error::data(format!("{} cannot be written: somebody removes it", path.display())),
+            io::ErrorKind::NotFound => {
+                Error::data(format!("{} cannot be written: somebody removes it", path.display()))
+            }
             _ => unwritable(path, &error),
         })
     }

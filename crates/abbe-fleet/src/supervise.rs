@@ -81,7 +81,10 @@ pub fn supervise(
     let shared = Shared { tasks: Mutex::new(tasks), found: Mutex::new(Found::default()), store, limits, told };
     let results: Vec<Result<()>> = std::thread::scope(|scope| {
         let started: Vec<_> = (0..workers).map(|_| scope.spawn(|| shared.work(command))).collect();
-        started.into_iter().map(|thread| thread.join().unwrap_or_else(|_| Err(Error::data("a thread panicked")))).collect()
+        started
+            .into_iter()
+            .map(|thread| thread.join().unwrap_or_else(|_| Err(Error::data("a thread panicked"))))
+            .collect()
     });
     let found = shared.found.into_inner().unwrap_or_else(PoisonError::into_inner);
     results.into_iter().collect::<Result<()>>()?;

@@ -256,7 +256,10 @@ impl Settings {
             return Err(SettingsError::new(name, message));
         }
         if parts.len() > 1 {
-            return Err(SettingsError::new("block", "a block is solved, and not read: `block` or `solved` was expected"));
+            return Err(SettingsError::new(
+                "block",
+                "a block is solved, and not read: `block` or `solved` was expected",
+            ));
         }
         if let Some(block) = self.block {
             let (end, all) = (block.first.get() + block.count.get(), self.trials.get());

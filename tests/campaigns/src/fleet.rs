@@ -69,7 +69,13 @@ pub fn run(program: &Path, seed: u64, count: u64) -> Report {
     let mut report = Report { text: String::new(), broken: Vec::new() };
     let bare = bare(at, count, cores);
     let (mut run, mut per_job) = (0.0, f64::NAN);
-    for command in [&["plan", "fleet.yaml"][..], &["run", MANIFEST], &["run", MANIFEST], &["status", MANIFEST], &["merge", MANIFEST]] {
+    for command in [
+        &["plan", "fleet.yaml"][..],
+        &["run", MANIFEST],
+        &["run", MANIFEST],
+        &["status", MANIFEST],
+        &["merge", MANIFEST],
+    ] {
         let (seconds, succeeded) = timed(program, at, command);
         if !succeeded {
             report.broken.push(format!("`abbe fleet {}` failed", command.join(" ")));
@@ -83,7 +89,9 @@ pub fn run(program: &Path, seed: u64, count: u64) -> Report {
     let overhead = 1e3 * (run - bare) * cores as f64 / count as f64;
     let size = |name: &str| crate::fleet::size(&at.join(name)) as f64 / count as f64;
     report.text.push_str(&format!("the same without a fleet        {bare:8.2} s\n"));
-    report.text.push_str(&format!("{count} jobs on {cores} cores: {per_job:.3} ms of a core a job, {overhead:.3} ms of it overhead\n"));
+    report.text.push_str(&format!(
+        "{count} jobs on {cores} cores: {per_job:.3} ms of a core a job, {overhead:.3} ms of it overhead\n"
+    ));
     let (result, line, data) = (size("fleet.results"), size(MANIFEST), size("data"));
     report.text.push_str(&format!("bytes a job: result {result:.0}, manifest {line:.0}, data {data:.0}\n\n"));
     report.text.push_str(&day(seed, MILLION, 300.0));
@@ -147,16 +155,19 @@ const REPLACED: f64 = 30.0;
 /// A job takes `job_ms` of a core, from half of it to half as much again.
 fn day(seed: u64, machines: usize, job_ms: f64) -> String {
     let mut random = Random::new(seed, u64::MAX);
-    let mut arrivals: Vec<f64> = (0..machines).map(|index| {
-        let shift = 6.0 + 8.0 * (index % 3) as f64;
-        // About an hour after the begin, more or less: the sum of three uniform numbers is nearly normal.
-        let spread = random.within(1.0) + random.within(1.0) + random.within(1.0);
-        (3600.0 * (shift + 1.0) + 3600.0 * spread / 2.0).rem_euclid(DAY)
-    }).collect();
+    let mut arrivals: Vec<f64> = (0..machines)
+        .map(|index| {
+            let shift = 6.0 + 8.0 * (index % 3) as f64;
+            // About an hour after the begin, more or less: the sum of three uniform numbers is nearly normal.
+            let spread = random.within(1.0) + random.within(1.0) + random.within(1.0);
+            (3600.0 * (shift + 1.0) + 3600.0 * spread / 2.0).rem_euclid(DAY)
+        })
+        .collect();
     arrivals.sort_by(f64::total_cmp);
     let work = machines as f64 * job_ms / 1e3;
     let least = (work / DAY).ceil().max(1.0);
-    let mut text = format!("{machines} machines a day, {job_ms} ms of a core each: {:.1} hours of one core\n", work / 3600.0);
+    let mut text =
+        format!("{machines} machines a day, {job_ms} ms of a core each: {:.1} hours of one core\n", work / 3600.0);
     text.push_str("  cores  busy   results are there within (half, 99 %, all)\n");
     for times in [1.0, 2.0, 4.0, 8.0] {
         let cores = (least * times) as usize;
@@ -164,7 +175,10 @@ fn day(seed: u64, machines: usize, job_ms: f64) -> String {
         let at = |part: f64| waits[((waits.len() - 1) as f64 * part) as usize];
         text.push_str(&format!(
             "{cores:7} {:4.0} %  {:9.1} s {:9.1} s {:9.1} s\n",
-            100.0 * work / (cores as f64 * DAY), at(0.5), at(0.99), at(1.0)
+            100.0 * work / (cores as f64 * DAY),
+            at(0.5),
+            at(0.99),
+            at(1.0)
         ));
     }
     text
@@ -174,15 +188,18 @@ fn day(seed: u64, machines: usize, job_ms: f64) -> String {
 fn waits(arrivals: &[f64], cores: usize, job_s: f64, random: &mut Random) -> Vec<f64> {
     // Times as whole numbers of microseconds: these have an order.
     let mut free: BinaryHeap<Reverse<u64>> = (0..cores).map(|_| Reverse(0)).collect();
-    let mut waits: Vec<f64> = arrivals.iter().map(|arrival| {
-        let begin = free.pop().map_or(0.0, |Reverse(time)| time as f64 / 1e6).max(*arrival);
-        let takes = job_s * (1.0 + random.within(0.5));
-        // The job is done again by a new worker.
-        let lost = if random.chance(DEATHS) { takes + REPLACED } else { 0.0 };
-        let end = begin + takes + lost;
-        free.push(Reverse((end * 1e6) as u64));
-        end - arrival
-    }).collect();
+    let mut waits: Vec<f64> = arrivals
+        .iter()
+        .map(|arrival| {
+            let begin = free.pop().map_or(0.0, |Reverse(time)| time as f64 / 1e6).max(*arrival);
+            let takes = job_s * (1.0 + random.within(0.5));
+            // The job is done again by a new worker.
+            let lost = if random.chance(DEATHS) { takes + REPLACED } else { 0.0 };
+            let end = begin + takes + lost;
+            free.push(Reverse((end * 1e6) as u64));
+            end - arrival
+        })
+        .collect();
     waits.sort_by(f64::total_cmp);
     waits
 }

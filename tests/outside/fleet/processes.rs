@@ -1,8 +1,9 @@
 //! Processes that a test has started, and those that these have started.
 
 use std::collections::BTreeSet;
+use std::ffi::OsStr;
 use std::fs;
-use std::process::{Child, Command};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 /// The processes that a process has started, and theirs.
@@ -59,14 +60,47 @@ impl Drop for Service {
         }
         let _ = self.0.kill();
         let _ = self.0.wait();
-        all.into_iter().for_each(|id| drop(kill(id)));
+        // What has ended in the meantime is no child of anybody.
+        for id in all.into_iter().filter(|id| name_of(*id).is_some()) {
+            kill(id);
+        }
     }
 }
 
-/// A port of the loopback interface that nobody listens on.
-pub fn free_port() -> u16 {
-    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
-    listener.local_addr().expect("its address").port()
+/// A network of its own that has the loopback interface alone: services of engines listen on all interfaces that there are.
+pub struct Loopback(Service);
+
+impl Loopback {
+    /// Why there can be none.
+    pub fn missing() -> Option<String> {
+        let user = Command::new("id").arg("-u").output().map(|output| output.stdout).unwrap_or_default();
+        if user != b"0\n" {
+            return Some("a network of its own needs root".to_owned());
+        }
+        let made = Command::new("unshare").args(["--net", "ip", "link", "set", "lo", "up"]).output();
+        let is_made = made.is_ok_and(|made| made.status.success());
+        (!is_made).then(|| "`unshare --net` and `ip` can make no network of its own here".to_owned())
+    }
+
+    pub fn new() -> Self {
+        let script = "ip link set lo up && echo up && exec sleep 600";
+        let mut command = Command::new("unshare");
+        command.args(["--net", "sh", "-c", script]).stdin(Stdio::null()).stdout(Stdio::piped());
+        let mut held = command.spawn().expect("a network");
+        let mut line = String::new();
+        let output = held.stdout.take().expect("a pipe");
+        std::io::BufRead::read_line(&mut std::io::BufReader::new(output), &mut line).expect("a line");
+        assert_eq!(line, "up\n");
+        Self(Service(held))
+    }
+
+    /// A program in this network.
+    pub fn command(&self, program: impl AsRef<OsStr>) -> Command {
+        let mut command = Command::new("nsenter");
+        command.arg(format!("--net=/proc/{}/ns/net", self.0.id())).arg("--").arg(program);
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+        command
+    }
 }
 
 /// Asks again and again until it is so.

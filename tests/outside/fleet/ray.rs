@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use super::processes::{Service, descendants, free_port, until};
+use super::processes::{Loopback, Service, descendants, until};
 use super::{ABBE, BATCH, example, survives};
 use crate::support::{root, skipped, temporary};
 
@@ -22,28 +22,23 @@ fn workers_that_are_killed_under_ray_change_nothing() {
     let Some(python) = python() else {
         return skipped("workers_that_are_killed_under_ray_change_nothing", "the Python package ray is not installed");
     };
-    let folder = temporary();
-    let ray = |arguments: &[&str]| {
-        let mut command = Command::new(&python);
-        command.args(["-m", "ray.scripts.scripts"]).args(arguments);
-        command.env("RAY_USAGE_STATS_ENABLED", "0").env("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0");
-        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-        command
-    };
-    let address = format!("127.0.0.1:{}", free_port());
-    let port = format!("--port={}", address.rsplit_once(':').map_or("0", |(_, port)| port));
+    if let Some(why) = Loopback::missing() {
+        return skipped("workers_that_are_killed_under_ray_change_nothing", &why);
+    }
+    let (folder, network) = (temporary(), Loopback::new());
     let place = format!("--temp-dir={}", folder.path().display());
-    let head = ["start", "--head", "--block", "--node-ip-address=127.0.0.1", "--include-dashboard=false"];
-    let sizes = ["--num-cpus=2", "--num-gpus=0", "--object-store-memory=80000000", &port, &place];
-    let cluster = Service(ray(&[&head[..], &sizes].concat()).spawn().expect("Ray starts"));
-    until("Ray is not there", Duration::from_secs(60), || {
-        std::net::TcpStream::connect(&address).is_ok() && descendants(cluster.id()).len() > 2
-    });
+    let mut ray = network.command(&python);
+    ray.args(["-m", "ray.scripts.scripts", "start", "--head", "--block", "--include-dashboard=false", &place]);
+    // Ray takes 127.0.0.1 for a mistake and looks for another interface.
+    ray.args(["--node-ip-address=127.0.0.2", "--port=6379", "--num-cpus=2", "--num-gpus=0"]);
+    ray.arg("--object-store-memory=80000000").env("RAY_USAGE_STATS_ENABLED", "0");
+    let cluster = Service(ray.spawn().expect("Ray starts"));
+    let socket = folder.path().join("session_latest/sockets/raylet");
+    until("Ray is not there", Duration::from_secs(60), || socket.exists());
     let wrapper = |at: &Path| {
-        let mut command = Command::new(&python);
+        let mut command = network.command(&python);
         command.arg(example("ray_fleet.py")).args(["fleet.manifest.jsonl", BATCH]).current_dir(at);
-        command.env("ABBE", ABBE).env("RAY_ADDRESS", &address).env("RAY_USAGE_STATS_ENABLED", "0");
-        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+        command.env("ABBE", ABBE).env("RAY_ADDRESS", "127.0.0.2:6379").env("RAY_USAGE_STATS_ENABLED", "0");
         command
     };
     // Those of Ray that do a task, and the program that they start.

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use super::processes::{Service, descendants, free_port, until};
+use super::processes::{Loopback, Service, descendants, until};
 use super::{ABBE, BATCH, example, survives};
 use crate::support::{skipped, temporary, write};
 
@@ -19,8 +19,7 @@ fn missing() -> Option<String> {
     if let Some(name) = NEEDED.iter().find(|name| !is_there(name)) {
         return Some(format!("`{name}` of Slurm is not installed"));
     }
-    let user = Command::new("id").arg("-u").output().map(|output| output.stdout).unwrap_or_default();
-    (user != b"0\n").then(|| "a cluster of Slurm of one's own needs root".to_owned())
+    Loopback::missing()
 }
 
 /// What `sh` prints.
@@ -39,48 +38,59 @@ fn tasks_that_are_killed_under_slurm_change_nothing() {
     // The service of keys refuses folders that others may write to on the way to its socket, except those with the sticky bit.
     fs::set_permissions(at, fs::Permissions::from_mode(0o755)).expect("a folder of ours");
     let place = |name: &str| at.join(name).display().to_string();
-    let (host, ports) = (told("hostname -s"), [free_port(), free_port()]);
+    let (host, network) = (told("hostname -s"), Loopback::new());
     let made = Command::new("mungekey").args(["--create", "--keyfile", &place("key")]).status();
     assert!(made.is_ok_and(|status| status.success()), "no key can be made");
     write(
         &at.join("slurm.conf"),
         &format!(
             "ClusterName=fleet\nSlurmctldHost={host}(127.0.0.1)\nAuthType=auth/munge\nAuthInfo=socket={}\n\
-             CredType=cred/munge\nSlurmUser=root\nSlurmdUser=root\nSlurmctldPort={}\nSlurmdPort={}\n\
+             CredType=cred/munge\nSlurmUser=root\nSlurmdUser=root\nSlurmctldPort=6817\nSlurmdPort=6818\n\
              StateSaveLocation={}\nSlurmdSpoolDir={}\nSlurmctldPidFile={}\nSlurmdPidFile={}\n\
              ProctrackType=proctrack/linuxproc\nTaskPlugin=task/none\nMpiDefault=none\nReturnToService=2\n\
              SelectType=select/cons_tres\nSelectTypeParameters=CR_CPU\nSchedulerType=sched/backfill\n\
              SchedulerParameters=batch_sched_delay=0,sched_interval=1,sched_min_interval=0,bf_interval=1\n\
              KillWait=1\nMinJobAge=10\nNodeName={host} NodeAddr=127.0.0.1 CPUs=2 State=UNKNOWN\n\
              PartitionName=all Nodes=ALL Default=YES MaxTime=INFINITE State=UP\n",
-            place("munge.socket"), ports[0], ports[1], place("state"), place("spool"), place("ctld.pid"), place("d.pid"),
+            place("munge.socket"),
+            place("state"),
+            place("spool"),
+            place("ctld.pid"),
+            place("d.pid"),
         ),
     );
     for name in ["state", "spool"] {
         fs::create_dir(at.join(name)).expect("a folder");
     }
     let service = |program: &str, arguments: &[&str]| {
-        let mut command = Command::new(program);
+        let mut command = network.command(program);
         command.args(arguments).env("SLURM_CONF", at.join("slurm.conf"));
-        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
         Service(command.spawn().expect("a service"))
     };
-    let files = ["socket", "pid-file", "log-file", "seed-file"].map(|name| format!("--{name}={}", place(&format!("munge.{}", name.replace("-file", "")))));
+    let files = ["socket", "pid-file", "log-file", "seed-file"];
+    let files = files.map(|name| format!("--{name}={}", place(&format!("munge.{}", name.replace("-file", "")))));
     let key = format!("--key-file={}", place("key"));
-    let _keys = service("munged", &[&["--foreground", "--force", "--num-threads=2", &key][..], &files.each_ref().map(String::as_str)].concat());
+    let _keys = service(
+        "munged",
+        &[&["--foreground", "--force", "--num-threads=2", &key][..], &files.each_ref().map(String::as_str)].concat(),
+    );
     until("there is no service of keys", Duration::from_secs(10), || at.join("munge.socket").exists());
     let log = |name: &str| place(&format!("{name}.log"));
     let _control = service("slurmctld", &["-D", "-L", &log("ctld")]);
     let node = service("slurmd", &["-D", "-L", &log("d")]);
     until("the node is not idle", Duration::from_secs(40), || {
-        let state = Command::new("sinfo").args(["-h", "-o", "%t"]).env("SLURM_CONF", at.join("slurm.conf")).output();
+        let state = network
+            .command("sinfo")
+            .args(["-h", "-o", "%t"])
+            .stdout(Stdio::piped())
+            .env("SLURM_CONF", at.join("slurm.conf"))
+            .output();
         state.is_ok_and(|state| state.stdout.starts_with(b"idle"))
     });
     let wrapper = |fleet: &Path| {
-        let mut command = Command::new("sh");
+        let mut command = network.command("sh");
         command.arg(example("slurm_fleet.sh")).args(["fleet.manifest.jsonl", BATCH]).current_dir(fleet);
         command.env("ABBE", ABBE).env("SLURM_CONF", at.join("slurm.conf"));
-        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
         command
     };
     // The program, and the script of a task that turns into it.
@@ -90,9 +100,9 @@ fn tasks_that_are_killed_under_slurm_change_nothing() {
     };
     // What is killed runs under a process of the node that is no child of it any more.
     let engine = || {
-        let steps = descendants(1).into_iter().filter(|id| {
-            super::name_of(*id).is_some_and(|name| name.starts_with("slurmstepd"))
-        });
+        let steps = descendants(1)
+            .into_iter()
+            .filter(|id| super::name_of(*id).is_some_and(|name| name.starts_with("slurmstepd")));
         let of_steps: Vec<u32> = steps.flat_map(descendants).collect();
         of_steps.into_iter().chain(descendants(node.id())).collect()
     };

@@ -39,8 +39,9 @@ mod tests {
     #[test]
     fn names_of_files_are_different() {
         let mut names = Names::default();
-        let made: Vec<String> =
-            [("f/a b", "fit"), ("f/a_b", "fit"), ("F/A_B", "fit"), ("../..", "fit")].map(|(job, fit)| names.of(job, fit)).into();
+        let made: Vec<String> = [("f/a b", "fit"), ("f/a_b", "fit"), ("F/A_B", "fit"), ("../..", "fit")]
+            .map(|(job, fit)| names.of(job, fit))
+            .into();
         let expected = ["f-a_b.fit", "f-a_b.fit-2", "F-A_B.fit-3", "..-...fit"];
         assert_eq!(made, expected.map(|name| format!("{name}.calibration.json")));
     }
