@@ -22,6 +22,7 @@ mod facets;
 mod faults;
 mod files;
 mod first_order;
+mod fleet;
 mod frozen;
 mod full_disk;
 mod gcode;

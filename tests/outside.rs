@@ -6,6 +6,7 @@ mod browser;
 mod certificate;
 mod driver;
 mod first_error_family;
+mod fleet;
 mod handed_on;
 mod instruction_sets;
 mod linuxcnc;

@@ -18,7 +18,7 @@ const fn border(name: &'static str, uses: &'static [&'static str]) -> Border {
 }
 
 /// The folder `crates`: arrows point one way, see docs/architecture.md.
-const CRATES: [Border; 30] = [
+const CRATES: [Border; 31] = [
     border("abbe-settings", &[]),
     border("abbe-files", &[]),
     border("abbe-results", &["abbe-settings"]),
@@ -72,6 +72,7 @@ const CRATES: [Border; 30] = [
             "abbe-table",
         ],
     ),
+    border("abbe-fleet", &["abbe-core", "abbe-engine", "abbe-files", "abbe-history", "abbe-recipe"]),
     border(
         "abbe-report",
         &["abbe-core", "abbe-engine", "abbe-estimation", "abbe-files", "abbe-probe", "abbe-trend", "abbe-volumetric"],
@@ -85,6 +86,7 @@ const CRATES: [Border; 30] = [
             "abbe-core",
             "abbe-engine",
             "abbe-files",
+            "abbe-fleet",
             "abbe-history",
             "abbe-kinematics",
             "abbe-plugin",

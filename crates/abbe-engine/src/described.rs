@@ -9,7 +9,6 @@ use abbe_estimation::{LocationErrors, Standing, location_errors};
 use abbe_recipe::{Recipe, Stage};
 use serde_json::{Value, json};
 
-use crate::given::Given;
 use crate::prepare::{Prepared, prepared};
 
 /// A machine.
@@ -28,7 +27,7 @@ pub struct Described {
 ///
 /// Fails with what is wrong with the machine.
 pub fn prepare_text(path: &Path, text: &str, registry: &Registry) -> Result<Prepared> {
-    prepared(Recipe::parse(path, text, registry)?, registry, &Given::default())
+    prepared(Recipe::parse(path, text, registry)?, registry)
 }
 
 impl Prepared {

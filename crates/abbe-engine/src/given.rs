@@ -8,7 +8,7 @@ use abbe_core::{Error, InputFile, Kind, Registry, Result, Table};
 use abbe_recipe::{Recipe, Stage};
 use sha2::{Digest, Sha256};
 
-use crate::prepare::{Prepared, prepared};
+use crate::prepare::{Prepared, built};
 use crate::record::{FileRecord, hexadecimal, sha256};
 use crate::run::Datasets;
 
@@ -38,7 +38,8 @@ pub fn prepare_given(path: &Path, registry: &Registry, given: &Given) -> Result<
             .help(format!("its ingest stages are: {}", names.join(", ")))
             .suggest(name, names.iter().copied()));
     }
-    prepared(recipe, registry, given)
+    let built = built(recipe, registry, given)?;
+    Ok(if given.recipe.is_none() { built.of_its_file() } else { built })
 }
 
 impl Given {

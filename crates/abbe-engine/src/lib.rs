@@ -49,7 +49,7 @@ pub use groups::day_of;
 pub use laws::Laws;
 pub use outcome::{CALIBRATION, Failure, Outcome, REPORT, VERDICTS, residuals_file};
 pub use plan::Measurements;
-pub use prepare::{Prepared, prepare};
+pub use prepare::{Prepared, prepare, prepared};
 pub use record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, Remark, RunRecord};
 pub use run::{model_of, model_with_log};
 pub use simulate::{Simulated, SimulatedFile, UnchangedFile};

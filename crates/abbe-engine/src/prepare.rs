@@ -41,6 +41,8 @@ pub struct Prepared {
     pub(crate) plugins: Vec<PluginRecord>,
     /// Every file that the recipe reads, itself first.
     pub(crate) files: Vec<PathBuf>,
+    /// Whether the text of the recipe was read from its file.
+    pub(crate) is_of_its_file: bool,
     /// The record of the recipe, if a program gives its text.
     pub(crate) given_recipe: Option<FileRecord>,
     /// The digests of tables that a program gives in the place of files, by their stages.
@@ -58,11 +60,16 @@ type Schemas = BTreeMap<(Kind, String), Value>;
 /// Fails with [`abbe_core::Class::Use`] on everything that is wrong with the recipe, the files that it names and their
 /// headers.
 pub fn prepare(path: &Path, registry: &Registry) -> Result<Prepared> {
-    prepared(Recipe::read(path, registry)?, registry, &Given::default())
+    prepared(Recipe::read(path, registry)?, registry).map(Prepared::of_its_file)
 }
 
-/// Builds the stages of a recipe and checks them.
-pub(crate) fn prepared(recipe: Recipe, registry: &Registry, given: &Given) -> Result<Prepared> {
+/// Builds the stages of a recipe and checks them, as [`prepare`]. Its text need not be that of the file at its path.
+pub fn prepared(recipe: Recipe, registry: &Registry) -> Result<Prepared> {
+    built(recipe, registry, &Given::default())
+}
+
+/// As [`prepared`], with what a program gives in the place of files.
+pub(crate) fn built(recipe: Recipe, registry: &Registry, given: &Given) -> Result<Prepared> {
     let loaded = |library: &&Library| {
         registry.iter().any(|plugin| matches!(&plugin.origin, Origin::Library { file, .. } if *file == library.path))
     };
@@ -83,6 +90,7 @@ pub(crate) fn prepared(recipe: Recipe, registry: &Registry, given: &Given) -> Re
         validators: BTreeMap::new(),
         exporters: BTreeMap::new(),
         files: if given.recipe.is_some() { Vec::new() } else { vec![recipe.path.clone()] },
+        is_of_its_file: false,
         given_recipe: given.recipe_record(&recipe.path),
         tables: BTreeMap::new(),
         plugins: Vec::new(),
@@ -135,6 +143,16 @@ pub(crate) fn prepared(recipe: Recipe, registry: &Registry, given: &Given) -> Re
 }
 
 impl Prepared {
+    /// The same, with a recipe whose text is that of its file.
+    pub(crate) fn of_its_file(self) -> Self {
+        Self { is_of_its_file: true, ..self }
+    }
+
+    /// Every file that the recipe reads, itself first.
+    pub fn files(&self) -> &[PathBuf] {
+        &self.files
+    }
+
     /// Builds one stage; gives the files that it reads.
     fn build(
         &mut self,

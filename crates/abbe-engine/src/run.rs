@@ -48,7 +48,8 @@ impl Prepared {
         let places = self.files.iter().filter_map(|file| std::fs::canonicalize(file).ok());
         let seen: Vec<(PathBuf, Stamp)> = places.map(|file| (file.clone(), stamp(&file))).collect();
         let inputs = input_records(&self.files)?;
-        if inputs.first().is_some_and(|recipe| recipe.sha256 != sha256(self.recipe.text.as_bytes())) {
+        let of_text = sha256(self.recipe.text.as_bytes());
+        if self.is_of_its_file && inputs.first().is_some_and(|recipe| recipe.sha256 != of_text) {
             return Err(changed(&self.recipe.path));
         }
         self.same_content(&inputs).iter().for_each(|sentence| tracing::warn!("{sentence}"));

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use abbe_core::{Error, PathItem, path_text};
 use saphyr_parser::{Event, Marker, Parser, ScalarStyle};
@@ -20,19 +21,23 @@ struct Marks {
     value: Mark,
 }
 
-/// Which of the two a message points at.
+/// Which of the two a message points at: a key, or its value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum At {
+pub enum At {
+    /// The key.
     Key,
+    /// The value.
     Value,
 }
 
 /// One YAML file.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Document {
+pub struct Document {
+    /// The file.
     pub file: PathBuf,
+    /// What it says.
     pub value: Value,
-    places: BTreeMap<Vec<PathItem>, Marks>,
+    places: Arc<BTreeMap<Vec<PathItem>, Marks>>,
 }
 
 impl Document {
@@ -55,7 +60,7 @@ impl Document {
             let (line, column) = place.unwrap_or((1, 1));
             Error::usage(message).at(file, line, Some(column))
         })?;
-        Ok(Self { file: file.to_owned(), value, places })
+        Ok(Self { file: file.to_owned(), value, places: Arc::new(places) })
     }
 
     /// The root, to read from.
@@ -90,9 +95,11 @@ impl Document {
 
 /// A value in a document, with the way to it.
 #[derive(Debug, Clone)]
-pub(crate) struct Node<'a> {
+pub struct Node<'a> {
     document: &'a Document,
+    /// The way to it.
     pub path: Vec<PathItem>,
+    /// The value.
     pub value: &'a Value,
 }
 

@@ -2,7 +2,8 @@
 //!
 //! **Architecture invariant:** no other crate knows YAML, and this one reads nothing but recipes and the YAML files
 //! that the `file` settings of model stages name. It builds no stage: it passes the settings on as JSON values, and gives
-//! errors of a plugin about them their place ([`Recipe::settings_error`]).
+//! errors of a plugin about them their place ([`Recipe::settings_error`]). Other files in YAML that this program reads are read
+//! by its [`yaml`].
 
 mod document;
 mod graph;
@@ -13,6 +14,7 @@ mod place;
 mod schema;
 mod sets;
 mod stage;
+mod template;
 #[cfg(test)]
 mod tests;
 mod ties;
@@ -34,6 +36,12 @@ pub use place::HistoryPlace;
 pub use schema::schema;
 use sets::{Expanded, Sets, with_sets};
 pub use stage::Stage;
+pub use template::Template;
+
+/// YAML text as values that know their place in the text.
+pub mod yaml {
+    pub use crate::document::{At, Document, Node};
+}
 
 /// The keys of an artefact stage that are the same for all artefact plugins ([`abbe_estimation::RowSettings`]).
 const ROW_SETTINGS: [&str; 4] = ["uncertainty", "pooled", "id", "unseen"];
@@ -127,7 +135,10 @@ impl Recipe {
 
     /// Like [`Recipe::read`], of a text that is to be treated as the file at `path`.
     pub fn parse(path: &Path, text: &str, registry: &Registry) -> Result<Self, Error> {
-        let document = Document::parse(path, text)?;
+        Self::of_document(path, text, Document::parse(path, text)?, registry)
+    }
+
+    fn of_document(path: &Path, text: &str, document: Document, registry: &Registry) -> Result<Self, Error> {
         let base = path.parent().unwrap_or(Path::new("")).to_owned();
         let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
         // A folder of results is named after the recipe, and lies in the one that `--out` names.

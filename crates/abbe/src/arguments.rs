@@ -10,7 +10,7 @@ use crate::interrupt::seconds;
 use crate::progress::Progress;
 #[cfg(feature = "serve")]
 use crate::serve;
-use crate::{compensate, correct, data, explain, history, machine, new, planning, test};
+use crate::{compensate, correct, data, explain, fleet, history, machine, new, planning, test};
 
 /// Calibrates machine tools and coordinate measuring machines from declared recipes.
 #[derive(Parser)]
@@ -132,6 +132,9 @@ pub enum Command {
     /// Keep the results of runs, and tell what they say about a machine over time.
     #[command(subcommand)]
     History(history::Asked),
+    /// Many calibrations as independent jobs: machines and weeks, or trials in blocks.
+    #[command(subcommand)]
+    Fleet(fleet::Asked),
     /// Show a history to browsers on this computer; nothing can be changed there.
     #[cfg(feature = "serve")]
     Serve(serve::Serve),

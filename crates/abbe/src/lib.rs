@@ -1,4 +1,4 @@
-//! The command line of Abbe: `new`, `run`, `report`, `test`, `check`, `data`, `model`, `explain`, `simulate`, `plan`, `history`, `serve`, `plugins`, `plugin`, `schema`.
+//! The command line of Abbe: `new`, `run`, `report`, `test`, `check`, `data`, `model`, `explain`, `simulate`, `plan`, `history`, `fleet`, `serve`, `plugins`, `plugin`, `schema`.
 //!
 //! Exit status: 0 no verdict failed (inconclusive verdicts are reported); 1 an error that only the data or the run show; 2 wrong
 //! use, or an error that can be found without reading data rows; 3 a verdict failed; 130 interrupted by Ctrl-C, 143 by SIGTERM,
@@ -19,6 +19,7 @@ mod effects;
 mod expected;
 mod explain;
 mod failure;
+mod fleet;
 mod history;
 mod interrupt;
 mod libraries;
@@ -99,7 +100,12 @@ impl Drop for ExpectedEnd {
 }
 
 fn carried_out(arguments: Arguments) -> ExitCode {
-    let level = if arguments.verbose { tracing::Level::INFO } else { tracing::Level::WARN };
+    let level = match &arguments.command {
+        // What users should know of a job stands in its result.
+        Command::Fleet(asked) if asked.is_worker() => tracing::Level::ERROR,
+        _ if arguments.verbose => tracing::Level::INFO,
+        _ => tracing::Level::WARN,
+    };
     tracing_subscriber::fmt()
         .with_writer(|| Harmless(io::stderr()))
         .with_max_level(level)
@@ -111,6 +117,7 @@ fn carried_out(arguments: Arguments) -> ExitCode {
         Command::Compensate(asked) => asked.json,
         Command::Correct(asked) => asked.json,
         Command::History(asked) => asked.is_json(),
+        Command::Fleet(asked) => asked.is_json(),
         _ => false,
     };
     let is_json = machine
@@ -290,6 +297,7 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             interrupt::cancel_on_signal(Monitor::default())?;
             written(asked.run(&libraries.registry(None)?)?)
         }
+        Command::Fleet(asked) => asked.run(libraries, verbose),
         #[cfg(feature = "serve")]
         Command::Serve(asked) => asked.run(libraries.registry(None)?),
         Command::History(asked) => {

@@ -8,11 +8,12 @@
 
 mod draws;
 mod settings;
+mod solved;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use abbe_core::{
-    Calibration, Context, Error, Estimate, EstimateSource, Fit, GumComparison, Identifiability, MonteCarlo,
+    Calibration, Context, Error, Estimate, EstimateSource, Fit, GumComparison, Identifiability, InputFile, MonteCarlo,
     NamedCovariance, Problem, Result, Samples, SettingsError, SimulatedParameter, Whole, in_parallel,
 };
 use abbe_numerics::{AdaptiveProcedure, Generator, Trials, compare_with_gum, least_trials, numerical_tolerance};
@@ -41,8 +42,9 @@ fn example() -> Value {
     })
 }
 
-fn build(settings: Settings, _: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
+fn build(mut settings: Settings, context: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
     settings.check()?;
+    settings.solved = settings.solved.map(|path| context.base.join(path));
     Ok(Box::new(Propagation { settings }))
 }
 
@@ -59,6 +61,10 @@ const CHUNK: usize = 512;
 const MAY_FAIL: f64 = 0.01;
 
 impl Estimate for Propagation {
+    fn inputs(&self) -> Vec<InputFile> {
+        self.settings.solved.iter().map(|path| InputFile { setting: "solved", path: path.clone() }).collect()
+    }
+
     fn estimate(&self, _: &Problem) -> Result<Calibration> {
         Err(of_is_missing())
     }
@@ -78,11 +84,15 @@ impl Estimate for Propagation {
             trials: Trials::new(draws.quantities()),
             failed: 0,
             stable: None,
-            samples: self.settings.keep_samples.then(Vec::new),
+            samples: (self.settings.keep_samples || self.settings.block.is_some()).then(Vec::new),
         };
-        match &self.settings.adaptive {
-            None => self.solve(&draws, fit, self.settings.trials.get(), &mut found, None)?,
-            Some(adaptive) => {
+        match (&self.settings.adaptive, &self.settings.solved) {
+            (None, Some(path)) => self.read(path, draws.quantities(), &mut found)?,
+            (None, None) => {
+                let count = self.settings.block.map_or(self.settings.trials, |block| block.count).get();
+                self.solve(&draws, fit, count, &mut found, None)?;
+            }
+            (Some(adaptive), _) => {
                 let mut stop = AdaptiveProcedure::new(
                     adaptive.digits.get() as u32,
                     self.settings.coverage_probability,
@@ -128,9 +138,11 @@ const MOST_KEPT: usize = 50_000_000;
 impl Propagation {
     /// Refuses to keep more values of trials than the memory has room for.
     fn may_keep(&self, quantities: usize) -> Result<()> {
-        let trials = self.settings.adaptive.as_ref().map_or(self.settings.trials, |adaptive| adaptive.most).get();
+        let Settings { adaptive, block, .. } = &self.settings;
+        let all = adaptive.as_ref().map_or(self.settings.trials, |adaptive| adaptive.most);
+        let trials = block.map_or(all, |block| block.count).get();
         let values = trials.saturating_mul(quantities);
-        if !self.settings.keep_samples || values <= MOST_KEPT {
+        if !(self.settings.keep_samples || block.is_some()) || values <= MOST_KEPT {
             return Ok(());
         }
         let message =
@@ -147,7 +159,8 @@ impl Propagation {
         found: &mut Found,
         mut batch: Option<&mut Trials>,
     ) -> Result<()> {
-        let first = found.trials.count() + found.failed;
+        let before = self.settings.block.map_or(0, |block| block.first.get());
+        let first = before + found.trials.count() + found.failed;
         let numbers: Vec<u64> = (first as u64..(first + count) as u64).collect();
         let mut last_failure = None;
         let ended = AtomicBool::new(false);
@@ -181,12 +194,17 @@ impl Propagation {
                     Err(error) if error.fatal => return Err(error),
                     Err(error) => {
                         found.failed += 1;
+                        if let (Some(samples), Some(_)) = (&mut found.samples, self.settings.block) {
+                            samples.extend(std::iter::repeat_n(f64::NAN, found.trials.quantities()));
+                        }
                         last_failure = Some(error);
                     }
                 }
             }
         }
         match last_failure {
+            // Whether too many failed is judged when all blocks are there.
+            Some(_) if self.settings.block.is_some() => Ok(()),
             Some(error) if found.failed as f64 > MAY_FAIL * (first + count) as f64 => Err(Error {
                 message: format!("{} of {} trials failed, the last: {}", found.failed, first + count, error.message),
                 ..error

@@ -1,6 +1,7 @@
 //! Settings of the Monte Carlo calculation.
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use abbe_core::{PathItem, SettingsError, Whole, positive};
 use abbe_numerics::Generator;
@@ -48,9 +49,27 @@ pub struct Settings {
     /// Keep the values of every trial, for `export: parquet`. They take 8 bytes for each trial and unknown.
     #[serde(default)]
     pub keep_samples: bool,
+    /// A block of the trials alone, whose values are kept. `abbe fleet` deals trials out so and puts them together again: a block
+    /// by itself is no result.
+    #[serde(default)]
+    pub block: Option<Block>,
+    /// File with the values of all trials, which were solved before in blocks: trials x unknowns numbers of 8 bytes (IEEE 754, least
+    /// significant byte first) in the units used in memory; not a number for a trial that failed.
+    #[serde(default)]
+    pub solved: Option<PathBuf>,
     /// Number of threads. Default: all cores. The result does not depend on it.
     #[serde(default)]
     pub threads: Option<Whole<1, 1024>>,
+}
+
+/// Trials that follow each other.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Block {
+    /// Number of the first one, from 0.
+    pub first: Whole<0, 10_000_000>,
+    /// How many they are.
+    pub count: TrialCount,
 }
 
 /// When to stop.
@@ -229,6 +248,23 @@ impl Settings {
         let probability = self.coverage_probability;
         if !(probability > 0.0 && probability < 1.0) {
             return Err(SettingsError::new("coverage_probability", "a number between 0 and 1 was expected"));
+        }
+        let of_parts = [("block", self.block.is_some()), ("solved", self.solved.is_some())];
+        let parts: Vec<&str> = of_parts.iter().filter(|(_, is_given)| *is_given).map(|(name, _)| *name).collect();
+        if let ([name, ..], true) = (parts.as_slice(), self.adaptive.is_some()) {
+            let message = "trials in blocks need a number that is fixed before: `trials`, and not `adaptive`";
+            return Err(SettingsError::new(name, message));
+        }
+        if parts.len() > 1 {
+            return Err(SettingsError::new(
+                "block",
+                "a block is solved, and not read: `block` or `solved` was expected",
+            ));
+        }
+        if let Some(block) = self.block {
+            let (end, all) = (block.first.get() + block.count.get(), self.trials.get());
+            let message = || format!("the block ends with trial {end}, and there are {all} trials");
+            return if end <= all { Ok(()) } else { Err(SettingsError::new("block", message())) };
         }
         if let Some(adaptive) = &self.adaptive {
             let under = |error: SettingsError| error.under([PathItem::Key("adaptive".to_owned())]);

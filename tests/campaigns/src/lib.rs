@@ -4,6 +4,7 @@
 
 pub mod bad_inputs;
 pub mod compensation;
+pub mod fleet;
 pub mod fuzz;
 pub mod hostile;
 mod machine;

@@ -5,7 +5,7 @@
 
 use std::process::ExitCode;
 
-use abbe_campaigns::{bad_inputs, compensation, fuzz, hostile, machines, signals, sizes, tango};
+use abbe_campaigns::{bad_inputs, compensation, fleet, fuzz, hostile, machines, signals, sizes, tango};
 
 fn main() -> ExitCode {
     if std::env::var_os("ABBE_CAMPAIGN_PROGRAM").is_some() {
@@ -35,10 +35,11 @@ fn main() -> ExitCode {
         (Some("fuzz"), Some(count), Some(seed)) => {
             fuzz::run(seed, count, arguments.get(3).map(String::as_str), "target/fuzz".as_ref())
         }
+        (Some("fleet"), Some(count), Some(seed)) => fleet::run(&program, seed, count),
         (Some("sizes"), Some(largest), Some(_)) => sizes::run(&program, largest),
         _ => {
             eprintln!(
-                "usage: abbe-campaigns machines|compensation|tango|bad-inputs|signals|hostile|sizes COUNT SEED, fuzz COUNT SEED [TARGET], fuzz-seeds FOLDER, or machine CASE SEED FOLDER"
+                "usage: abbe-campaigns machines|compensation|tango|bad-inputs|signals|hostile|fleet|sizes COUNT SEED, fuzz COUNT SEED [TARGET], fuzz-seeds FOLDER, or machine CASE SEED FOLDER"
             );
             return ExitCode::from(2);
         }

@@ -1,0 +1,281 @@
+//! The manifest: one line that says what the fleet is, then one line for each job. It is JSON line by line, so that one job is found
+//! without reading the others.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, BufWriter, Write};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use abbe_core::{Error, FileFormat, Result};
+use abbe_engine::{FileRecord, temporary_file};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use crate::hash::sha256;
+use crate::store::{RESULT_FORMAT, Store};
+use crate::text::Variables;
+use crate::{unreadable, unwritable};
+
+/// The number of the format of manifests.
+pub const MANIFEST_FORMAT: u32 = 1;
+
+const FORMAT: FileFormat =
+    FileFormat { name: "manifest of a fleet", key: "abbe_fleet_manifest", number: MANIFEST_FORMAT };
+
+/// The version of this program. Another one may find other digits.
+pub const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// What the name of a manifest ends in.
+const ENDING: &str = ".manifest.jsonl";
+
+/// The first line.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Head {
+    /// [`MANIFEST_FORMAT`].
+    pub abbe_fleet_manifest: u32,
+    /// The version of the program that planned it, which has to be that of the program that does it.
+    pub version: String,
+    /// The name of the fleet.
+    pub fleet: String,
+    /// Where paths start, from the folder of the manifest.
+    pub base: String,
+    /// How many jobs there are.
+    pub jobs: usize,
+    /// The history to which the results go.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub history: Option<String>,
+    /// The families.
+    pub families: Vec<Family>,
+}
+
+/// Jobs of one recipe.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Family {
+    /// Its name.
+    pub name: String,
+    /// The recipe.
+    pub recipe: String,
+    /// The estimate whose trials are dealt out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trials_of: Option<String>,
+}
+
+/// A setting that replaces one of the recipe.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Setting {
+    /// The stage, then the keys to the setting.
+    pub at: Vec<String>,
+    /// Its value.
+    pub value: Value,
+}
+
+/// What the history gets to know of a job.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Kept {
+    /// The machine; that of its description if none is given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub machine: Option<String>,
+    /// What the test is called.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub label: Option<String>,
+    /// When it was, in `unit`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub at: Option<f64>,
+    /// `day`, `week`, ...
+    pub unit: String,
+}
+
+/// Trials of a job.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Trials {
+    /// The name of what all blocks together are.
+    pub of: String,
+    /// The number of the first one, from 0.
+    pub first: usize,
+    /// How many the job has.
+    pub count: usize,
+    /// How many there are in all blocks.
+    pub all: usize,
+}
+
+/// A job.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Job {
+    /// Hash of all that its result depends on: 64 hexadecimal digits.
+    pub job: String,
+    /// Its name, for people.
+    pub name: String,
+    /// Its family, by its place in the list.
+    pub family: usize,
+    /// The variables.
+    #[serde(default, skip_serializing_if = "Variables::is_empty")]
+    pub variables: Variables,
+    /// Settings that replace those of the recipe.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub set: Vec<Setting>,
+    /// The files that it reads, with their hashes.
+    pub inputs: Vec<FileRecord>,
+    /// What the history gets to know.
+    pub history: Kept,
+    /// The trials that it solves, if it is a block.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trials: Option<Trials>,
+    /// Why it cannot be done at all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refused: Option<String>,
+}
+
+impl Job {
+    /// The hash of all that a result depends on: the program, the recipe as the job has it, the trials, and what is in the files.
+    pub(crate) fn hash(&self, recipe: &str, text: &Value) -> String {
+        let trials = self.trials.as_ref().map(|trials| (trials.first, trials.count));
+        let inputs: Vec<(&str, &str)> = (self.inputs.iter()).map(|input| (&*input.file, &*input.sha256)).collect();
+        sha256(json!([RESULT_FORMAT, VERSION, recipe, text, trials, inputs]).to_string().as_bytes())
+    }
+}
+
+/// A manifest on the disk.
+#[derive(Debug, Clone)]
+pub struct Manifest {
+    /// The file, by its whole path.
+    pub path: PathBuf,
+    /// Its first line.
+    pub head: Head,
+}
+
+impl Manifest {
+    /// The usual place of the manifest of a fleet: beside it.
+    pub fn beside(fleet: &Path) -> PathBuf {
+        let stem = fleet.file_stem().unwrap_or_default().to_string_lossy();
+        fleet.with_file_name(format!("{stem}{ENDING}"))
+    }
+
+    /// Writes a manifest, whole or not at all.
+    ///
+    /// # Errors
+    /// If the disk does not take it.
+    pub fn write(path: &Path, head: Head, jobs: &[Job]) -> Result<Self> {
+        let failed = |error: &io::Error| unwritable(path, error);
+        let path = whole(path)?;
+        let folder = path.parent().unwrap_or(Path::new("/"));
+        let written = (|| -> io::Result<()> {
+            let mut file = temporary_file(folder)?;
+            let mut writer = BufWriter::new(file.as_file_mut());
+            serde_json::to_writer(&mut writer, &head)?;
+            for job in jobs {
+                writer.write_all(b"\n")?;
+                serde_json::to_writer(&mut writer, job)?;
+            }
+            writer.write_all(b"\n")?;
+            writer.flush()?;
+            drop(writer);
+            file.as_file().sync_all()?;
+            file.persist(&path).map(drop).map_err(|error| error.error)
+        })();
+        written.map_err(|error| failed(&error))?;
+        Ok(Self { path, head })
+    }
+
+    /// Reads the first line.
+    ///
+    /// # Errors
+    /// For what is no manifest, and for one of another version of this program.
+    pub fn read(path: &Path) -> Result<Self> {
+        let path = whole(path)?;
+        let file = abbe_files::open(&path).map_err(|error| {
+            let message = format!("{} cannot be read: {}", path.display(), abbe_files::why(&error));
+            Error::usage(message).help("`abbe fleet plan` writes it")
+        })?;
+        let mut line = String::new();
+        BufReader::new(file).read_line(&mut line).map_err(|error| unreadable(&path, &error))?;
+        let head: Head = FORMAT.read(&line).map_err(|error| error.in_file(&path))?;
+        if head.version != VERSION {
+            let message = format!("it was planned by version {} of this program, which is {VERSION}", head.version);
+            return Err(Error::usage(message).help("plan it again: `abbe fleet plan`").in_file(&path));
+        }
+        Ok(Self { path, head })
+    }
+
+    /// The folder in which all paths of the fleet start.
+    pub fn base(&self) -> PathBuf {
+        self.path.parent().unwrap_or(Path::new("/")).join(&self.head.base)
+    }
+
+    /// A name beside the manifest: `plant.results` for `plant.manifest.jsonl`.
+    pub fn beside_it(&self, what: &str) -> PathBuf {
+        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
+        let stem = name.strip_suffix(ENDING).or(name.strip_suffix(".jsonl")).unwrap_or(&name);
+        self.path.with_file_name(format!("{stem}.{what}"))
+    }
+
+    /// Where its results are.
+    pub fn store(&self) -> Store {
+        Store::new(&self.beside_it("results"))
+    }
+
+    /// Calls `take` with the lines of jobs, by their numbers from 0, without reading them.
+    ///
+    /// # Errors
+    /// If the file cannot be read or lacks one of them; and what `take` fails with.
+    pub fn each_line(&self, range: Range<usize>, mut take: impl FnMut(usize, String) -> Result<()>) -> Result<()> {
+        let file = File::open(&self.path).map_err(|error| unreadable(&self.path, &error))?;
+        let mut reader = BufReader::with_capacity(1 << 18, file);
+        for _ in 0..=range.start.min(self.head.jobs) {
+            reader.skip_until(b'\n').map_err(|error| unreadable(&self.path, &error))?;
+        }
+        for index in range {
+            let mut line = String::new();
+            let count = reader.read_line(&mut line).map_err(|error| unreadable(&self.path, &error))?;
+            if count == 0 || !line.ends_with('\n') {
+                let message = format!("the manifest ends with job {index} of {}", self.head.jobs);
+                return Err(Error::data(message).help("plan it again: `abbe fleet plan`").in_file(&self.path));
+            }
+            take(index, line)?;
+        }
+        Ok(())
+    }
+
+    /// Calls `take` with jobs.
+    ///
+    /// # Errors
+    /// As [`Manifest::each_line`], and for a line that is no job.
+    pub fn each_job(&self, range: Range<usize>, mut take: impl FnMut(usize, Job) -> Result<()>) -> Result<()> {
+        self.each_line(range, |index, line| {
+            let job: Job = serde_json::from_str(&line)
+                .map_err(|error| Error::data(format!("this is no job: {error}")).at(&self.path, index + 2, None))?;
+            match job.family < self.head.families.len() {
+                true => take(index, job),
+                false => Err(Error::data("there is no such family").at(&self.path, index + 2, None)),
+            }
+        })
+    }
+}
+
+/// The whole path of a file, which may not be there yet.
+fn whole(path: &Path) -> Result<PathBuf> {
+    std::path::absolute(path).map(|path| abbe_files::place(&path)).map_err(|error| unreadable(path, &error))
+}
+
+/// The way from one folder to another, both by their whole paths.
+pub fn relative(from: &Path, to: &Path) -> String {
+    let (from, to): (Vec<_>, Vec<_>) = (from.components().collect(), to.components().collect());
+    let same = from.iter().zip(&to).take_while(|(one, other)| one == other).count();
+    let up = std::iter::repeat_n("..".to_owned(), from.len() - same);
+    let down = to[same..].iter().map(|part| part.as_os_str().to_string_lossy().into_owned());
+    let parts: Vec<String> = up.chain(down).collect();
+    if parts.is_empty() { ".".to_owned() } else { parts.join("/") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ways_between_folders() {
+        for (from, to, way) in
+            [("/a/b", "/a/b", "."), ("/a/b", "/a", ".."), ("/a", "/a/b/c", "b/c"), ("/a/b/c", "/a/d", "../../d")]
+        {
+            assert_eq!(relative(Path::new(from), Path::new(to)), way);
+        }
+    }
+}

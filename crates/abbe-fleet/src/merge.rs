@@ -1,0 +1,378 @@
+//! Results of all jobs as one: tables, a history, distributions.
+
+mod blocks;
+mod keeper;
+mod names;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use abbe_core::{Calibration, Decision, Error, Result, Verdict};
+use abbe_history::{Entry, Stored};
+use serde_json::{Value, json};
+
+use crate::manifest::{Job, Kept, Manifest, VERSION};
+use crate::store::Store;
+use crate::table::{Cell, Column, Table};
+use crate::unwritable;
+use crate::worker::{Found, Registries};
+use blocks::Blocks;
+use keeper::Keeper;
+use names::Names;
+
+/// What a merge has made.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Merged {
+    /// Jobs whose results are in it.
+    pub jobs: usize,
+    /// Calibrations.
+    pub calibrations: usize,
+    /// Entries that are new in the history.
+    pub entries: usize,
+    /// Names of jobs without a result, or with stages that failed, with the reason.
+    pub failed: Vec<(String, String)>,
+    /// Jobs that nobody has done.
+    pub open: usize,
+}
+
+/// Puts the results of all jobs together, in the order of the manifest: tables in `out`, calibrations as files on request (`files`), entries
+/// of the history that the fleet names. It is called in the folder where the paths of the fleet start.
+///
+/// Jobs that failed are told, and cost no others; jobs that nobody has done yet are an error unless `partial`.
+///
+/// # Errors
+/// For open jobs, for results of another fleet, and if the disk or the history does not take what is written.
+pub fn merge(
+    manifest: &Manifest,
+    out: &Path,
+    files: bool,
+    partial: bool,
+    registries: &Registries<'_>,
+) -> Result<Merged> {
+    if !partial {
+        none_open(manifest)?;
+    }
+    let (mut last, mut families) = (None, Vec::new());
+    fs::create_dir_all(out).map_err(|error| unwritable(out, &error))?;
+    for family in &manifest.head.families {
+        families.push(family.trials_of.as_deref());
+    }
+    let mut merging = Merging {
+        manifest,
+        store: manifest.store(),
+        tables: Tables::new(out)?,
+        keeper: manifest.head.history.as_deref().map(Keeper::open).transpose()?,
+        out: out.to_owned(),
+        files,
+        names: Names::default(),
+        merged: Merged::default(),
+    };
+    manifest.each_job(0..manifest.head.jobs, |_, job| match (&job.trials, families[job.family]) {
+        (Some(_), Some(stage)) => merging.block(&mut last, job, stage, registries),
+        _ => merging.job(&job),
+    })?;
+    let Merging { tables, keeper, merged, .. } = merging;
+    if let Some(keeper) = keeper {
+        keeper.finish()?;
+    }
+    tables.finish()?;
+    Ok(merged)
+}
+
+/// Fails if there are jobs that nobody has tried.
+fn none_open(manifest: &Manifest) -> Result<()> {
+    let store = manifest.store();
+    let (mut open, mut first) = (0, None);
+    manifest.each_job(0..manifest.head.jobs, |_, job| {
+        let is_there = |path: PathBuf| path.symlink_metadata().is_ok();
+        let tried = job.refused.is_some() || is_there(store.failure_file(&job.job));
+        if !tried && !is_there(store.result_file(&job.job)) {
+            open += 1;
+            first.get_or_insert(job.name);
+        }
+        Ok(())
+    })?;
+    let Some(first) = first else { return Ok(()) };
+    let message = format!("{open} of {} jobs are open, the first is `{first}`", manifest.head.jobs);
+    Err(Error::data(message).help("do them: `abbe fleet run`; or merge what is there: `--partial`"))
+}
+
+/// The tables of a fleet.
+struct Tables {
+    jobs: Table,
+    parameters: Table,
+    verdicts: Table,
+    distributions: Table,
+}
+
+impl Tables {
+    fn new(out: &Path) -> Result<Self> {
+        use Column::{Number, Text};
+        const JOB: [Column; 5] = [Text("job"), Text("machine"), Text("label"), Number("at"), Text("unit_of_time")];
+        let of_job = |rest: &[Column]| [&JOB, rest].concat();
+        let jobs = [Text("job"), Text("family"), Text("state"), Text("decision"), Text("reason"), Text("variables")];
+        let parameters = [
+            Text("estimate"),
+            Text("parameter"),
+            Number("value"),
+            Text("unit"),
+            Number("standard_uncertainty"),
+            Text("status"),
+        ];
+        let verdicts = [
+            Text("stage"),
+            Text("validator"),
+            Text("decision"),
+            Text("of"),
+            Text("figure"),
+            Number("value"),
+            Text("unit"),
+            Number("limit"),
+            Text("decision_of_figure"),
+        ];
+        let distributions = [
+            Text("estimate"),
+            Text("parameter"),
+            Text("unit"),
+            Number("mean"),
+            Number("standard_uncertainty"),
+            Number("symmetric_low"),
+            Number("symmetric_high"),
+            Number("shortest_low"),
+            Number("shortest_high"),
+            Number("probability"),
+            Number("trials"),
+            Number("failed"),
+        ];
+        Ok(Self {
+            jobs: Table::new(out, "jobs", &jobs)?,
+            parameters: Table::new(out, "parameters", &of_job(&parameters))?,
+            verdicts: Table::new(out, "verdicts", &of_job(&verdicts))?,
+            distributions: Table::new(out, "distributions", &of_job(&distributions))?,
+        })
+    }
+
+    fn finish(self) -> Result<()> {
+        [self.jobs, self.parameters, self.verdicts, self.distributions].into_iter().try_for_each(Table::finish)
+    }
+}
+
+/// A merge under way.
+struct Merging<'a> {
+    manifest: &'a Manifest,
+    store: Store,
+    tables: Tables,
+    keeper: Option<Keeper>,
+    out: PathBuf,
+    files: bool,
+    names: Names,
+    merged: Merged,
+}
+
+impl Merging<'_> {
+    /// Adds a job that is a run by itself.
+    fn job(&mut self, job: &Job) -> Result<()> {
+        match self.store.get(&job.job) {
+            Some(content) => {
+                let found = serde_json::from_slice(&content).map_err(|error| {
+                    Error::data(format!("this is no result of a job: {error}"))
+                        .in_file(&self.store.result_file(&job.job))
+                })?;
+                self.found(job, &job.name, found, self.files)
+            }
+            None => self.without(job, &job.name),
+        }
+    }
+
+    /// Adds a block of trials; with the last one what all of them are.
+    fn block(&mut self, last: &mut Option<Blocks>, job: Job, stage: &str, registries: &Registries<'_>) -> Result<()> {
+        let Some(trials) = job.trials.clone() else { return Ok(()) };
+        let blocks = match last.take().filter(|blocks| blocks.is_of(&trials)) {
+            Some(blocks) => last.insert(blocks),
+            None => last.insert(Blocks::new(&self.out, &trials)?),
+        };
+        match self.store.get(&job.job) {
+            Some(content) => blocks.push(&trials, &content)?,
+            None => {
+                blocks.missing += 1;
+                self.without(&job, &job.name)?;
+            }
+        }
+        if trials.first + trials.count < trials.all {
+            return Ok(());
+        }
+        let Some(blocks) = last.take() else { return Ok(()) };
+        let missing = blocks.missing;
+        if missing > 0 {
+            let reason = format!("{missing} of its blocks have no result");
+            return self.told(&job, &trials.of, "failed", "", &reason);
+        }
+        match blocks.found(&self.manifest.head.families[job.family], &job, stage, registries) {
+            Ok(found) => self.found(&job, &trials.of, found, true),
+            Err(error) => self.told(&job, &trials.of, "failed", "", &error.to_string()),
+        }
+    }
+
+    /// A job without a result.
+    fn without(&mut self, job: &Job, name: &str) -> Result<()> {
+        match job.refused.clone().or_else(|| self.store.failure(&job.job)) {
+            Some(reason) => self.told(job, name, "failed", "", &reason),
+            None => {
+                self.merged.open += 1;
+                self.row_of_job(job, name, "open", "", "")
+            }
+        }
+    }
+
+    fn told(&mut self, job: &Job, name: &str, state: &str, decision: &str, reason: &str) -> Result<()> {
+        if !reason.is_empty() {
+            self.merged.failed.push((name.to_owned(), reason.to_owned()));
+        }
+        self.row_of_job(job, name, state, decision, reason)
+    }
+
+    fn row_of_job(&mut self, job: &Job, name: &str, state: &str, decision: &str, reason: &str) -> Result<()> {
+        let family = &self.manifest.head.families[job.family].name;
+        let variables = Value::Object(job.variables.clone()).to_string();
+        self.tables.jobs.push(&[name, family, state, decision, reason, &variables].map(Cell::Text))
+    }
+
+    /// Adds what a run found.
+    fn found(&mut self, job: &Job, name: &str, found: Found, files: bool) -> Result<()> {
+        let failures: Vec<String> = (found.failures.iter().filter(|failure| failure.needs.is_none()))
+            .map(|failure| format!("stage `{}`: {}", failure.stage, failure.message))
+            .collect();
+        let decision = Decision::of_all(found.verdicts.iter().map(|verdict| verdict.decision)).to_string();
+        let state = if failures.is_empty() { "done" } else { "incomplete" };
+        self.told(job, name, state, &decision, &failures.join("; "))?;
+        self.merged.jobs += 1;
+        self.merged.calibrations += found.calibrations.len();
+        let stored: Vec<Stored> = found
+            .calibrations
+            .into_iter()
+            .map(|calibration| stored(&job.history, &found.recipe, calibration))
+            .collect();
+        for stored in &stored {
+            self.parameters(name, stored)?;
+            self.distributions(name, stored)?;
+            if files {
+                self.file(name, &stored.calibration)?;
+            }
+        }
+        for verdict in &found.verdicts {
+            self.verdict(name, job, stored.first(), verdict)?;
+        }
+        let Some(keeper) = self.keeper.as_mut().filter(|_| !stored.is_empty()) else { return Ok(()) };
+        if job.history.at.is_none() && stored.iter().any(|stored| stored.calibration.group.is_none()) {
+            let message = format!("the history has to know when `{name}` was: `at` is missing in its family");
+            return Err(Error::data(message).help("add `at` and plan the fleet again"));
+        }
+        let evidence = json!({ "inputs": found.inputs, "plugins": found.plugins, "version": VERSION, "fleet": name });
+        let entry = Entry { recipe: found.recipe, calibrations: stored, verdicts: found.verdicts, evidence };
+        self.merged.entries += usize::from(keeper.add(&entry)?);
+        Ok(())
+    }
+
+    fn parameters(&mut self, name: &str, stored: &Stored) -> Result<()> {
+        let calibration = &stored.calibration;
+        for known in calibration.parameters.iter().chain(&calibration.artefacts) {
+            let status = serde_json::to_value(known.status).ok();
+            let status = status.as_ref().and_then(Value::as_str).unwrap_or_default();
+            self.tables.parameters.push(&of_job(
+                name,
+                stored,
+                &[
+                    Cell::Text(&calibration.estimate),
+                    Cell::Text(&known.name),
+                    Cell::Number(known.value),
+                    Cell::Text(&known.unit),
+                    Cell::Number(known.standard_uncertainty),
+                    Cell::Text(status),
+                ],
+            ))?;
+        }
+        Ok(())
+    }
+
+    fn distributions(&mut self, name: &str, stored: &Stored) -> Result<()> {
+        let Some(found) = &stored.calibration.monte_carlo else { return Ok(()) };
+        for parameter in &found.parameters {
+            let ends = [parameter.symmetric_interval, parameter.shortest_interval].concat();
+            let numbers = [parameter.mean, parameter.standard_uncertainty];
+            let counts = [found.coverage_probability, found.trials as f64, found.failed as f64];
+            let texts = [&stored.calibration.estimate, &parameter.name, &parameter.unit].map(|text| Cell::Text(text));
+            let numbers = numbers.iter().chain(&ends).chain(&counts).map(|number| Cell::Number(*number));
+            let row: Vec<Cell<'_>> = texts.into_iter().chain(numbers).collect();
+            self.tables.distributions.push(&of_job(name, stored, &row))?;
+        }
+        Ok(())
+    }
+
+    fn verdict(&mut self, name: &str, job: &Job, first: Option<&Stored>, verdict: &Verdict) -> Result<()> {
+        let Kept { machine, label, at, unit } = &job.history;
+        let (machine, label) = match first {
+            Some(stored) => (stored.machine.as_str(), label.as_deref().unwrap_or_default()),
+            None => (machine.as_deref().unwrap_or_default(), label.as_deref().unwrap_or_default()),
+        };
+        let decision = verdict.decision.to_string();
+        for figure in &verdict.figures {
+            let of_figure = figure.decision.map(|decision| decision.to_string()).unwrap_or_default();
+            self.tables.verdicts.push(&[
+                Cell::Text(name),
+                Cell::Text(machine),
+                Cell::Text(label),
+                at.map_or(Cell::Missing, Cell::Number),
+                Cell::Text(unit),
+                Cell::Text(&verdict.stage),
+                Cell::Text(&verdict.plugin),
+                Cell::Text(&decision),
+                Cell::Text(figure.of.as_deref().unwrap_or_default()),
+                Cell::Text(&figure.name),
+                figure.value.map_or(Cell::Missing, Cell::Number),
+                Cell::Text(&figure.unit),
+                figure.limit.map_or(Cell::Missing, Cell::Number),
+                Cell::Text(&of_figure),
+            ])?;
+        }
+        Ok(())
+    }
+
+    fn file(&mut self, name: &str, calibration: &Calibration) -> Result<()> {
+        let folder = self.out.join("calibrations");
+        let path = folder.join(self.names.of(name, &calibration.estimate));
+        let written = fs::create_dir_all(&folder).and_then(|()| {
+            let mut file = abbe_engine::temporary_file(&folder)?;
+            let text = calibration.to_json().map_err(|error| std::io::Error::other(error.message))?;
+            std::io::Write::write_all(&mut file, text.as_bytes())?;
+            file.persist(&path).map(drop).map_err(|error| error.error)
+        });
+        written.map_err(|error| unwritable(&path, &error))
+    }
+}
+
+/// A row of a calibration: what the job is, then the rest.
+fn of_job<'a>(name: &'a str, stored: &'a Stored, rest: &[Cell<'a>]) -> Vec<Cell<'a>> {
+    let at = if stored.unit.is_empty() { Cell::Missing } else { Cell::Number(stored.at) };
+    let head = [Cell::Text(name), Cell::Text(&stored.machine), Cell::Text(&stored.label), at, Cell::Text(&stored.unit)];
+    head.iter().chain(rest).copied().collect()
+}
+
+/// A calibration as the history has it. Groups of rows have their own times.
+fn stored(kept: &Kept, recipe: &str, calibration: Calibration) -> Stored {
+    let own = calibration.model.settings.get("name").and_then(Value::as_str).filter(|name| !name.trim().is_empty());
+    let machine = kept.machine.as_deref().or(own).unwrap_or(recipe).to_owned();
+    match (&calibration.group, kept.at) {
+        (Some(group), _) => {
+            Stored { machine, label: group.label.clone(), at: group.at, unit: group.unit.clone(), calibration }
+        }
+        (None, Some(at)) => {
+            let label = kept.label.clone().unwrap_or_default();
+            Stored { machine, label, at, unit: kept.unit.clone(), calibration }
+        }
+        // No time is known; only tables are written of it.
+        (None, None) => {
+            let label = kept.label.clone().unwrap_or_default();
+            Stored { machine, label, at: 0.0, unit: String::new(), calibration }
+        }
+    }
+}
