@@ -2,6 +2,7 @@
 //! part, and with the skipped tests and the reasons.
 
 use std::io::{BufRead, BufReader};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -73,7 +74,24 @@ fn rust_alone(tests: &mut Tests) -> Outcome {
     of_tests.and(of_recipes)
 }
 
+/// Names the file that is there while `.ci/run` installs other programs.
+const INSTALLING: &str = "ABBE_INSTALLING";
+
+/// Longest time that is waited for them.
+const INSTALLED: Duration = Duration::from_secs(900);
+
+/// Waits until other programs are installed.
+fn installed() {
+    let Some(file) = std::env::var_os(INSTALLING) else { return };
+    let began = Instant::now();
+    while Path::new(&file).exists() && began.elapsed() < INSTALLED {
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    println!("waited {} for other programs to be installed", minutes(began.elapsed()));
+}
+
 fn other_programs(tests: &mut Tests) -> Outcome {
+    installed();
     linuxcnc::create_user()?;
     let whole = ["test", "--workspace", "--test", "whole", "--locked", FEATURES[0], FEATURES[1], "--"];
     // LinuxCNC runs in real time: nothing else runs beside it.
