@@ -127,7 +127,7 @@ fn angles_of_many_turns_decide_nothing() {
 }
 
 /// The cells of rows in one direction, times a factor.
-fn times(recipe: &Variant, stage: &str, way: &str, factor: f64) -> impl Fn(usize, &str) -> String {
+fn times(recipe: &Variant, stage: &str, way: &str, factor: f64) -> impl Fn(usize, &str) -> String + use<> {
     let ways = cells(&recipe.path(stage, "path"), "direction");
     let way = way.to_owned();
     move |row, cell| match ways[row] == way {

@@ -1,5 +1,7 @@
 //! Plain text tables.
 
+use std::collections::HashSet;
+
 use crate::lines;
 
 /// Blanks between columns, and before the first one.
@@ -21,9 +23,8 @@ fn aligned_rows(rows: &[Vec<String>], right: &[bool]) -> String {
 
 /// Which of the columns are among these; a table may have many.
 fn marked(columns: &[usize], rows: &[Vec<String>]) -> Vec<bool> {
-    let mut marked = vec![false; rows.iter().map(Vec::len).max().unwrap_or(0)];
-    columns.iter().filter_map(|column| marked.get_mut(*column)).for_each(|mark| *mark = true);
-    marked
+    let columns: HashSet<&usize> = columns.iter().collect();
+    (0..rows.iter().map(Vec::len).max().unwrap_or(0)).map(|column| columns.contains(&column)).collect()
 }
 
 /// The same in lines that are no longer than `width`: words of columns of text are set below one another; if that is not enough,

@@ -42,8 +42,9 @@ pub fn smaller_direction(columns: &[&[f64]], ways: &[bool], places: &[usize], un
         return None;
     }
     let digits = split.iter().map(|[one, other]| least_step(one, other)).fold(0.0, f64::max);
-    let largest =
-        |size: fn(&[Reading]) -> f64| [0, 1].map(|way: usize| split.iter().map(|own| size(&own[way])).fold(0.0, f64::max));
+    let largest = |size: fn(&[Reading]) -> f64| {
+        [0, 1].map(|way: usize| split.iter().map(|own| size(&own[way])).fold(0.0, f64::max))
+    };
     let (ranges, noises) = (largest(range), largest(roughness));
     let is_smaller = |sizes: [f64; 2], way: usize| sizes[way] + digits < SMALLER * sizes[1 - way];
     let way = [0, 1].into_iter().find(|way| is_smaller(ranges, *way) && is_smaller(noises, *way))?;
@@ -59,7 +60,8 @@ pub fn smaller_direction(columns: &[&[f64]], ways: &[bool], places: &[usize], un
 }
 
 fn range(readings: &[Reading]) -> f64 {
-    let ends = readings.iter().fold((f64::MAX, f64::MIN), |(low, high), (_, value)| (low.min(*value), high.max(*value)));
+    let ends =
+        readings.iter().fold((f64::MAX, f64::MIN), |(low, high), (_, value)| (low.min(*value), high.max(*value)));
     (ends.1 - ends.0).max(0.0)
 }
 
