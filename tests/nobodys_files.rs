@@ -5,6 +5,7 @@ mod ways;
 
 use std::fs;
 use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use abbe_core::{Event, Monitor};
 use abbe_engine::prepare;
@@ -388,6 +389,13 @@ fn results_under_long_names_are_replaced_and_kept() {
     }
 }
 
+/// Puts a new file in the place of another one, at once: others may read it meanwhile.
+fn replace(file: &Path, text: &str) {
+    static COUNT: AtomicUsize = AtomicUsize::new(0);
+    let new = file.with_extension(format!("new-{}", COUNT.fetch_add(1, Ordering::Relaxed)));
+    fs::write(&new, text).and_then(|()| fs::rename(&new, file)).expect("a change");
+}
+
 /// Results say which content they are of: a file that somebody changes while a run goes on ends it, and the results of an earlier run stay.
 #[test]
 fn a_file_that_changes_during_a_run_ends_it() {
@@ -401,7 +409,7 @@ fn a_file_that_changes_during_a_run_ends_it() {
         let monitor = Monitor::new(move |event| {
             if matches!(event, Event::Started { kind, .. } if *kind == stage) {
                 let text = fs::read_to_string(&changed).expect("a text");
-                fs::write(&changed, text + "# later\n").expect("a change");
+                replace(&changed, &(text + "# later\n"));
             }
         });
         let error = prepared.run(&monitor).err().unwrap_or_else(|| panic!("{file} was changed and nobody said so"));
@@ -414,7 +422,7 @@ fn a_file_that_changes_during_a_run_ends_it() {
         let prepared = prepare(&small.path("recipe.yaml"), &registry()).expect("a recipe");
         let monitor = Monitor::new(move |event| {
             if matches!(event, Event::Started { .. }) {
-                fs::write(&path, fs::read(&path).expect("a content")).expect("the same content");
+                replace(&path, &fs::read_to_string(&path).expect("a text"));
             }
         });
         assert!(prepared.run(&monitor).is_ok(), "{file}");
