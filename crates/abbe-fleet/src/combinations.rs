@@ -106,10 +106,9 @@ fn table(name: &str, node: &Node<'_>, folder: &Path) -> Result<Vec<(Variables, V
 
 /// A number if it is written as one and nothing of it would be lost; `007` is a text.
 fn cell(text: &str) -> Value {
-    match serde_json::from_str::<Value>(text) {
-        Ok(value @ Value::Number(_)) if value.to_string() == text => value,
-        _ => Value::String(text.to_owned()),
-    }
+    let number = serde_json::from_str::<serde_json::Number>(text).ok();
+    let number = number.filter(|number| number.to_string().as_str() == text);
+    number.map_or_else(|| Value::String(text.to_owned()), Value::Number)
 }
 
 #[cfg(test)]

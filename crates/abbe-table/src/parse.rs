@@ -66,8 +66,8 @@ pub(crate) fn dataset(path: &Path, bytes: &[u8], layout: &Layout) -> Result<(Dat
     for _ in 0..layout.skip_after_header {
         records.advance()?;
     }
-    // Room for all rows at once: a column that grows would take twice as much for a while.
-    let rows = newlines(&text).saturating_add(1);
+    // Room for all rows at once: a column that grows would take twice as much for a while. Each cell of a row takes a byte at least.
+    let rows = newlines(&text).min(text.len() / columns.len().max(1)).saturating_add(1);
     for column in &mut columns {
         match &mut column.values {
             Values::Numbers(numbers) => numbers.reserve_exact(rows),
