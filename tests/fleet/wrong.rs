@@ -97,7 +97,7 @@ fn a_poisoned_job_costs_no_other() {
 #[test]
 fn killed_processes_leave_whole_results() {
     let mut random = Random::new(21);
-    let plant = Plant { weeks: (1..=8).collect(), ..Plant::of(6) };
+    let plant = Plant { weeks: (1..=24).collect(), ..Plant::of(6) };
     let expected = reference(&plant);
     let folder = temporary();
     plant.write(folder.path());
@@ -105,7 +105,12 @@ fn killed_processes_leave_whole_results() {
     let mut ended = 0;
     for round in 0..8 {
         let mut process = start(folder.path(), &["fleet", "run", "fleet.manifest.jsonl", "--workers", "2"]);
-        std::thread::sleep(Duration::from_millis(60 + random.below(200) as u64));
+        let began = Instant::now();
+        while children(process.id()).is_empty() && process.try_wait().is_ok_and(|ended| ended.is_none()) {
+            assert!(began.elapsed() < Duration::from_secs(20), "no worker begins");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        std::thread::sleep(Duration::from_millis(random.below(200) as u64));
         let workers = children(process.id());
         assert!(workers.len() <= 2);
         if round % 2 == 0 {
