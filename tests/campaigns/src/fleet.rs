@@ -87,7 +87,7 @@ pub fn run(program: &Path, seed: u64, count: u64) -> Report {
         report.text.push_str(&format!("{:<32}{seconds:8.2} s\n", format!("abbe fleet {}", command[0])));
     }
     let overhead = 1e3 * (run - bare) * cores as f64 / count as f64;
-    let size = |name: &str| crate::fleet::size(&at.join(name)) as f64 / count as f64;
+    let size = |name: &str| size(&at.join(name)) as f64 / count as f64;
     report.text.push_str(&format!("the same without a fleet        {bare:8.2} s\n"));
     report.text.push_str(&format!(
         "{count} jobs on {cores} cores: {per_job:.3} ms of a core a job, {overhead:.3} ms of it overhead\n"
