@@ -449,7 +449,7 @@ fn a_run_that_reads_its_own_result_says_so() {
     assert!(!said.contains("did not write it") && said.contains("copy"), "{stderr}");
     assert_eq!(small.read("out/recipe/fine.calibration.json"), before);
     small.write("out/recipe/verdicts.json", "{}");
-    small.write("recipe.yaml", &crate::support::SMALL.to_owned());
+    small.write("recipe.yaml", crate::support::SMALL);
     let (status, stderr) = run(&small, "out");
     assert!(status != 0 && stderr.contains("did not write it as it is now"), "{stderr}");
 }
