@@ -385,7 +385,7 @@ fn layouts_that_cannot_be_are_refused() {
 #[test]
 fn a_table_stands_in_the_place_of_files() {
     let folder = tempfile::tempdir().unwrap();
-    fs::write(folder.path().join("styli.csv"), "point,tip_um\na,5\nb,6\n").unwrap();
+    fs::write(folder.path().join("styli.csv"), "point,tip_um\na,5\nb,6\nc,7\n").unwrap();
     let settings = json!({ "path": "bar-1.csv", "constants": { "T_degC": 20 }, "join": { "table": "styli.csv", "on": "point" },
         "columns": { "point": "p", "X_mm": { "column": "x", "unit": "um" } }, "no_data": [-1], "ignore": { "point": ["c"] },
         "average": { "over": "file", "by": ["point"] } });
@@ -408,5 +408,5 @@ fn a_table_stands_in_the_place_of_files() {
     // A table has rows and no lines.
     expected.origins.iter_mut().for_each(|origin| origin.line = 0);
     assert_eq!(found, expected);
-    assert_eq!(found.rows(), 2);
+    assert_eq!(found.rows(), 3);
 }
