@@ -197,7 +197,7 @@ fn a_job_is_known_by_what_its_result_depends_on() {
 }
 
 /// What a merge without files of calibrations has made.
-#[cfg_attr(not(target_os = "linux"), allow(dead_code))]
+#[cfg(target_os = "linux")]
 pub(crate) fn contents_without_calibrations(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = contents(folder);
     found.retain(|name, _| !name.starts_with("calibrations"));

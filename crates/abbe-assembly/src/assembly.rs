@@ -359,7 +359,9 @@ fn join(data: &mut Dataset, table: &Dataset, on: &str, by_file: bool) -> Result<
             Some(&found) => rows.push(found),
             None => {
                 let error = data.error_at(row, format!("{on} `{label}` is not in the table `{}`", path.display()));
-                return Err(error.help("add a row for it to the table, or leave these rows out by `ignore`"));
+                return Err(error.help(
+                    "add a row for it to the table, or take these rows out of the file: `ignore` comes after the join",
+                ));
             }
         }
     }
