@@ -28,10 +28,15 @@ def main(manifest, batch="100"):
     with open(manifest, encoding="utf-8") as lines:
         jobs = json.loads(next(lines))["jobs"]
     ray.init()
-    waiting = [batch_of_jobs.remote(manifest, first, batch) for first in range(0, jobs, batch)]
-    while waiting:
-        done, waiting = ray.wait(waiting)
-        ray.get(done)
+    has_round = True
+    while has_round:
+        waiting = [batch_of_jobs.remote(manifest, first, batch) for first in range(0, jobs, batch)]
+        while waiting:
+            done, waiting = ray.wait(waiting)
+            ray.get(done)
+        # Estimates in shards have several rounds; all else is done.
+        told = subprocess.run([ABBE, "fleet", "next", manifest], stdout=subprocess.PIPE, text=True).stdout
+        has_round = told.startswith("a new round")
     ray.shutdown()
     return subprocess.run([ABBE, "fleet", "merge", manifest]).returncode
 

@@ -196,6 +196,18 @@ fn mistakes_in_a_fleet_have_their_places() {
         ("two_names", changed("week: [1]", "week: [1, 1]")),
         ("password", changed("plant.sqlite", "postgres://me:secret@plant/abbe")),
         ("shards", changed("    unit: week\n", "    unit: week\n    shards: 4\n")),
+        ("no_files", changed("    unit: week\n", "    unit: week\n    shards: { stage: fit, from: runs }\n")),
+        (
+            "shards_of_nothing",
+            changed("    unit: week\n", "    unit: week\n    shards: { stage: fit, from: run, files: 1 }\n"),
+        ),
+        (
+            "shards_and_trials",
+            changed(
+                "    unit: week\n",
+                "    unit: week\n    shards: { stage: fit, from: runs, files: 1 }\n    trials: { stage: fit, block: 1 }\n",
+            ),
+        ),
         ("no_block", changed("    unit: week\n", "    unit: week\n    trials: { stage: fit }\n")),
         ("block_of_nothing", changed("    unit: week\n", "    unit: week\n    trials: { stage: fit, block: 0 }\n")),
         ("not_yaml", good.clone() + "  - {\n"),

@@ -42,18 +42,21 @@ pub use problem::{
 };
 pub use quantities::Quantities;
 pub use registry::{Build, Constructor, Context, EstimateSource, Kind, Origin, Plugin, Provider, Registry};
-pub use stage::{Artefact, CommandCorrection, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Validate};
+pub use stage::{
+    Artefact, CommandCorrection, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Parts, Validate,
+};
 pub use table::{Cell, ColumnCells, Field, RowsOfTable, SharedCells, Table};
 pub use uncertainty::{CovarianceBlock, EquationUncertainty, PooledRepeatability};
 
 // Types of settings and results. They are re-exported so that plugins need this crate alone.
 pub use abbe_results::{
-    CALIBRATION_FORMAT, Calibration, Certificate, Combination, CombinedAgreement, ConsideredInput, Contribution,
-    Correlated, DataRecord, Decision, EquivalentMotionError, Estimated, Figure, FileFormat, Findings, FitReport, Group,
-    GumComparison, Identifiability, ImplausibleValue, JointCoverage, Limit, ModelRecord, MonteCarlo, NamedCovariance,
-    Outlier, ParameterBudget, PredictedStructure, Rule, Samples, Selection, SelectionByPrediction, SelectionDirection,
-    SelectionStep, SimulatedParameter, Status, UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor, Verdict,
-    WeakDirection, rule_or_name, schema_of_rules,
+    AskedOfPart, CALIBRATION_FORMAT, Calibration, Certificate, Combination, CombinedAgreement, ConsideredInput,
+    Contribution, Correlated, DataRecord, Decision, EquivalentMotionError, Estimated, Figure, FileFormat, Findings,
+    FitReport, Group, GumComparison, Identifiability, ImplausibleValue, JointCoverage, Limit, ModelRecord, MonteCarlo,
+    NamedCovariance, Outlier, ParameterBudget, PartEvidence, PredictedStructure, ResidualSums, Rule, Samples,
+    Selection, SelectionByPrediction, SelectionDirection, SelectionStep, SimulatedParameter, SizeSums, Status,
+    Triangle, UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor, Verdict, WeakDirection, rule_or_name,
+    schema_of_rules,
 };
 pub use abbe_settings::{
     Class, Convergence, Error, EvenSeries, Event, Label, Monitor, Names, PathItem, Place, Quantity, Result, Series,

@@ -3,6 +3,7 @@
 //! A stage is built from its settings without reading files. `inputs` lists the files that it will read, so that missing
 //! files are found before the run.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -12,7 +13,7 @@ use crate::observations::{Observations, Target};
 use crate::problem::Problem;
 use crate::table::Table;
 use abbe_results::Findings;
-use abbe_results::{Calibration, Identifiability};
+use abbe_results::{AskedOfPart, Calibration, Identifiability, PartEvidence};
 use abbe_settings::{Error, Result};
 
 /// A file that a stage reads.
@@ -58,6 +59,13 @@ pub trait Artefact: Send + Sync {
 
     /// Makes the observations. Rows of features that this artefact does not have are skipped; other artefacts may use them.
     fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>>;
+
+    /// Whether the observations of some rows of a data set, and those of its other rows, are together those of all: an equation, the
+    /// name of an unknown or of a known input, its start value and its uncertainty do not depend on which other rows are there.
+    /// Only then one estimate can be made of rows that no process has all of. Default: they may depend on it.
+    fn rows_are_independent(&self) -> bool {
+        false
+    }
 
     /// The nominal programme: nominal tip positions for each feature.
     fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>>;
@@ -110,6 +118,12 @@ pub trait Estimate: Send + Sync {
     /// problem has no rows.
     fn estimate(&self, problem: &Problem) -> Result<Calibration>;
 
+    /// Solves a problem whose rows lie in `parts`, none of which has all; `problem` has the unknowns of all of them and no rows. The
+    /// result is that of all rows at once, as far as rounding goes. Default: this estimator needs all rows at once.
+    fn estimate_parts(&self, _problem: &Problem, _parts: &dyn Parts) -> Result<Calibration> {
+        Err(Error::usage("this estimator needs all rows at once").help("`gauss-newton` estimates from parts"))
+    }
+
     /// Solves the problem and explains the result: uncertainty budgets, and the combinations that are determined worst.
     fn explain(&self, problem: &Problem) -> Result<Calibration> {
         self.estimate(problem)
@@ -137,6 +151,15 @@ pub trait Estimate: Send + Sync {
     fn accepts(&self, found: &Identifiability) -> Result<bool> {
         Ok(found.rank == found.unknowns)
     }
+}
+
+/// The rows of a problem, in parts that are read again each time that something is asked of them.
+pub trait Parts {
+    /// How many parts there are.
+    fn count(&self) -> usize;
+
+    /// What a part tells at some values of the unknowns of the whole problem, by their names.
+    fn evidence(&self, part: usize, asked: AskedOfPart, at: &BTreeMap<String, f64>) -> Result<Arc<PartEvidence>>;
 }
 
 /// An estimate with everything that is needed to validate it or to repeat it on other rows.

@@ -153,6 +153,22 @@ impl Prepared {
         &self.files
     }
 
+    /// The plugins that take part.
+    pub fn plugins(&self) -> &[PluginRecord] {
+        &self.plugins
+    }
+
+    /// The files of measurements of an ingest stage (its setting `path`), in the order in which they are read.
+    pub fn measured_files(&self, ingest: &str) -> Result<Vec<PathBuf>> {
+        let none = || {
+            let error = Error::usage(format!("`{ingest}` reads no files of measurements by a setting `path`"));
+            self.recipe.locate(error.stage(ingest))
+        };
+        let files = self.ingests.get(ingest).ok_or_else(none)?.inputs().into_iter();
+        let files: Vec<PathBuf> = files.filter(|file| file.setting == "path").map(|file| file.path).collect();
+        if files.is_empty() { Err(none()) } else { Ok(files) }
+    }
+
     /// Builds one stage; gives the files that it reads.
     fn build(
         &mut self,

@@ -10,7 +10,7 @@ use abbe_core::{
     SetIndex, UncertaintyBudget,
 };
 use abbe_numerics::{
-    CovarianceRoot, coverage_factor, dot, effective_degrees_of_freedom, joint_coverage_factor,
+    CovarianceRoot, Factor, coverage_factor, dot, effective_degrees_of_freedom, joint_coverage_factor,
     rectangular_coverage_factor,
 };
 
@@ -55,11 +55,17 @@ pub enum AposterioriFactors {
 }
 
 impl AposterioriFactors {
-    fn of_set(&self, set: SetIndex) -> (f64, f64) {
-        match self {
+    /// What the rows of a set contribute, by the covariance that follows from their uncertainties.
+    fn part(&self, input: String, mut covariance: Vec<Vec<f64>>, set: SetIndex) -> Part {
+        let (scale, degrees_of_freedom) = match self {
             Self::Common(scale, freedom) => (*scale, *freedom),
-            Self::PerSet(all) => all[set.0],
-        }
+            Self::PerSet(all) => {
+                let (scale, freedom) = all[set.0];
+                covariance.iter_mut().flatten().for_each(|entry| *entry /= scale * scale);
+                (scale, freedom)
+            }
+        };
+        Part { input, covariance, stated: true, scale, degrees_of_freedom }
     }
 }
 
@@ -86,18 +92,12 @@ impl Propagation {
         let constraints = problem.constraints();
         let constrained = constraints.contains(&true);
         let mut parts = Vec::new();
-        let stated = |input: String, mut covariance: Vec<Vec<f64>>, (scale, degrees_of_freedom): (f64, f64)| {
-            if let AposterioriFactors::PerSet(_) = scales {
-                covariance.iter_mut().flatten().for_each(|entry| *entry /= scale * scale);
-            }
-            Part { input, covariance, stated: true, scale, degrees_of_freedom }
-        };
-        if let AposterioriFactors::Common(scale, freedom) = scales
+        if let AposterioriFactors::Common(..) = scales
             && !split
             && repeated_together.is_empty()
             && !constrained
         {
-            parts.push(stated("rows".to_owned(), covariance_root.covariance(), (scale, freedom)));
+            parts.push(scales.part("rows".to_owned(), covariance_root.covariance(), SetIndex(0)));
         } else {
             let ranges = problem.equation_ranges();
             let scatter = |(equation, constraint): (EquationIndex, &bool)| match (constraint, kept) {
@@ -109,12 +109,30 @@ impl Propagation {
             let factors = Weighted::new(problem)?.factors(x, scattering.as_deref().or(kept), &ranges)?;
             for ((index, set), factor) in SetIndex::enumerate(&problem.sets).zip(&factors) {
                 if !repeated(index) {
-                    parts.push(stated(set.name.clone(), covariance_root.part(factor), scales.of_set(index)));
+                    parts.push(scales.part(set.name.clone(), covariance_root.part(factor), index));
                 }
             }
         }
         let cross = propagate_shared(at, &repeated_together, &mut parts)?;
         Ok(Self { parts, cross, scales })
+    }
+
+    /// The same from the factors of the rows of every set, and from the factor of all rows with the columns of what is considered after
+    /// those of the unknowns. Every artefact is an input by itself; repeats and constraints there are none.
+    pub fn of_factors(
+        problem: &Problem,
+        root: &CovarianceRoot,
+        (of_sets, extended): (&[Factor], &Factor),
+        scales: AposterioriFactors,
+    ) -> Self {
+        let sets = SetIndex::enumerate(&problem.sets).zip(of_sets);
+        let mut parts: Vec<Part> =
+            sets.map(|((index, set), factor)| scales.part(set.name.clone(), root.part(factor), index)).collect();
+        let cross = match problem.considered.unknowns.is_empty() {
+            true => vec![Vec::new(); problem.unknowns.len()],
+            false => shared(problem, &[], &root.sensitivities(extended), &mut parts),
+        };
+        Self { parts, cross, scales }
     }
 
     /// Whether the a-posteriori factor multiplies any contribution. It does not if all rows have the scatter of repeats.
@@ -225,6 +243,17 @@ fn propagate_shared(
         repeated_together.iter().flat_map(|together| together.pooled.deviations.clone()).collect();
     let answer =
         covariance_root.sensitivities(&Weighted::with_columns(&extended, &columns)?.factor(&extended.start(), kept)?);
+    Ok(shared(problem, repeated_together, &answer, parts))
+}
+
+/// The same from the sensitivities of the estimates (unknowns x columns) to what is considered, and to the deviations of repeats.
+fn shared(
+    problem: &Problem,
+    repeated_together: &[RepeatedTogether],
+    answer: &[Vec<f64>],
+    parts: &mut Vec<Part>,
+) -> Vec<Vec<f64>> {
+    let (own, considered) = (problem.unknowns.len(), &problem.considered);
     let mut first = considered.unknowns.len();
     for together in repeated_together {
         let (pooled, repetitions) = (&together.pooled, together.pooled.repetitions.len());
@@ -263,7 +292,7 @@ fn propagate_shared(
         let degrees_of_freedom = f64::INFINITY;
         parts.push(Part { input: source.clone(), covariance, stated: false, scale: 1.0, degrees_of_freedom });
     }
-    Ok(cross)
+    cross
 }
 
 /// A symmetric matrix from the entries of its lower triangle.

@@ -1,6 +1,6 @@
 //! Statistics of the residuals of a solution: scatter, outliers.
 
-use abbe_core::{EquationIndex, Outlier, Problem, Quantity, Result};
+use abbe_core::{EquationIndex, Outlier, Problem, Quantity, ResidualSums, Result, SizeSums};
 use abbe_numerics::{CovarianceRoot, Robust, RobustReport, scatter_factor};
 
 use crate::weighted::Weighted;
@@ -61,17 +61,10 @@ pub struct Sizes {
     pub rms: f64,
 }
 
-impl Sizes {
-    fn of(residuals: &[f64]) -> Self {
-        let sizes = || residuals.iter().map(|residual| residual.abs());
-        // An empty sum is -0.
-        let mean = |sum: f64| (sum + 0.0) / residuals.len().max(1) as f64;
-        Self {
-            count: residuals.len(),
-            max: sizes().fold(0.0, f64::max),
-            mean_abs: mean(sizes().sum()),
-            rms: mean(sizes().map(|size| size * size).sum()).sqrt(),
-        }
+impl From<SizeSums> for Sizes {
+    fn from(sums: SizeSums) -> Self {
+        let mean = |sum: f64| sum / sums.count.max(1) as f64;
+        Self { count: sums.count, max: sums.max, mean_abs: mean(sums.absolute), rms: mean(sums.squares).sqrt() }
     }
 }
 
@@ -105,7 +98,7 @@ impl ResidualStatistics {
         let correction = correction(&readings, report, determined);
         let (angles, lengths): (Vec<EquationIndex>, Vec<EquationIndex>) =
             used.iter().partition(|&&row| quantities[row] == Quantity::Angle);
-        let sizes = |rows: &[EquationIndex]| Sizes::of(&rows.iter().map(|&row| residuals[row]).collect::<Vec<_>>());
+        let sizes = |rows: &[EquationIndex]| Sizes::from(SizeSums::of(rows.iter().map(|&row| residuals[row])));
         Self {
             used: used.len(),
             degrees_of_freedom,
@@ -117,20 +110,42 @@ impl ResidualStatistics {
     }
 }
 
+impl From<(&ResidualSums, usize)> for ResidualStatistics {
+    /// Statistics of independent rows that all count alike, and determine `rank` unknowns.
+    fn from((sums, rank): (&ResidualSums, usize)) -> Self {
+        let used = sums.lengths.count + sums.angles.count;
+        let degrees_of_freedom = used.saturating_sub(rank);
+        let redundancy = degrees_of_freedom as f64;
+        Self {
+            used,
+            degrees_of_freedom,
+            redundancy,
+            sigma: (sums.weighted_squares / redundancy.max(1.0)).sqrt(),
+            lengths: sums.lengths.into(),
+            angles: sums.angles.into(),
+        }
+    }
+}
+
 /// The root mean square of the distances, mm, of rows that have three residuals of lengths, as points in space have, all of them
 /// used; none if no row has.
 pub fn radial_rms(problem: &Problem, residuals: &[f64], is_used: impl Fn(EquationIndex) -> bool) -> Option<f64> {
+    let squares = point_squares(problem, residuals, is_used);
+    (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
+}
+
+/// The squares of these distances, mm².
+pub(crate) fn point_squares(problem: &Problem, residuals: &[f64], is_used: impl Fn(EquationIndex) -> bool) -> Vec<f64> {
     let (rows, quantities) = (problem.equation_rows(), problem.quantities());
     let equations: Vec<EquationIndex> = EquationIndex::first(residuals.len()).collect();
     let is_point = |row: &&[EquationIndex]| {
         row.len() == 3 && row.iter().all(|equation| quantities[*equation] == Quantity::Length && is_used(*equation))
     };
-    let squares: Vec<f64> = equations
+    equations
         .chunk_by(|one, other| rows[one.0] == rows[other.0])
         .filter(is_point)
         .map(|row| row.iter().map(|equation| residuals[*equation].powi(2)).sum())
-        .collect();
-    (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
+        .collect()
 }
 
 /// The factor of the scatter of some rows that determine `determined` unknowns ([`scatter_factor`]). 1 without robust weights.

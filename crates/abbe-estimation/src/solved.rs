@@ -2,13 +2,17 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Calibration, Error, FitReport, Identifiability, Problem, Result, SetIndex, Termination};
+use abbe_core::{
+    Calibration, EquivalentMotionError, Error, FitReport, Identifiability, Problem, Result, SetIndex, Termination,
+    VarianceFactor,
+};
 use abbe_numerics::{Directions, Factor, Robust, RobustReport};
 
 use crate::calibration::calibration;
 use crate::contact::{is_judged_as_recorded, rank_point};
 use crate::equivalent_motion_errors::equivalent_motion_errors;
 use crate::judgement::Judgement;
+use crate::parts::{RowsInParts, SolutionOfParts};
 use crate::propagation::{AposterioriFactors, Linearisation, Propagation};
 use crate::rank::{confounded, identifiability, ill_conditioned, separated, weakest};
 use crate::residuals::{Constraints, ResidualStatistics, outliers, radial_rms};
@@ -72,6 +76,13 @@ fn left_out(problem: &Problem, kept: &[f64], error: &Error) -> Error {
     )
 }
 
+/// What a report tells beside rank and scatter.
+struct Told {
+    radial_rms: Option<f64>,
+    equivalent_motion_errors: Vec<EquivalentMotionError>,
+    variance: Vec<VarianceFactor>,
+}
+
 impl UncertaintyEvaluation {
     /// Makes the calibration from a solution.
     ///
@@ -133,23 +144,80 @@ impl UncertaintyEvaluation {
             ResidualStatistics::new(&residuals, &quantities, &in_uncertainties, report.as_ref(), (rank, &constraints));
         let place = Linearisation { problem: &judged, x: &x, kept: kept.as_deref(), root };
         let propagation = Propagation::new(&place, self.scales(&statistics, components), self.explained)?;
-        // A repeated estimate without some rows needs only values and predictions. It may leave no degrees of freedom.
-        let told = self.explained && !self.trust_uncertainties;
-        if statistics.redundancy == 0.0 && told && propagation.is_scaled() {
-            return Err(Error::data(format!(
-                "the data leave no degrees of freedom ({} equations for {rank} unknowns): the scatter of the residuals says nothing",
-                statistics.used
-            ))
-            .help("set `trust_uncertainties: true` to take the stated uncertainties, or measure more")
-            .setting("trust_uncertainties"));
-        }
+        self.check_redundancy(&statistics, rank, &propagation)?;
         let outliers = match (&report, loss) {
             (Some(report), Some(loss)) => outliers(problem, &residuals, report, loss),
             _ => Vec::new(),
         };
-        let angles = Some(&statistics.angles).filter(|angles| angles.count > 0);
         let is_used = |equation| report.as_ref().is_none_or(|report| report.weights[equation] > 0.0);
-        let fit = FitReport {
+        let told = Told {
+            radial_rms: radial_rms(problem, &residuals, is_used),
+            equivalent_motion_errors: if self.explained { equivalent_motion_errors(problem)? } else { Vec::new() },
+            variance: components.map_or_else(Vec::new, |found| found.named(problem)),
+        };
+        let fit = self.report(problem, (&factor, found), &statistics, (iterations, last_step, gradient_cosine), told);
+        let mut calibration = calibration(problem, &x, propagation.covariance(problem), outliers, fit);
+        calibration.uncertainty = self.explained.then(|| propagation.budget(problem, self.coverage_probability));
+        Ok(calibration)
+    }
+
+    /// Makes the calibration from a solution of rows in parts. Parts tell no motion errors with the same effect on the tip.
+    ///
+    /// Fails for a direction that is lost at the solution, and where no degrees of freedom are left, as for rows at once.
+    pub fn calibration_of_parts(&self, rows: &RowsInParts<'_>, solved: EstimatorSolution) -> Result<Calibration> {
+        let EstimatorSolution { x, iterations, last_step, gradient_cosine, .. } = solved;
+        let problem = rows.problem();
+        let SolutionOfParts { of_sets, extended, residuals } = rows.at_solution(&x)?;
+        let own = |factor: &Factor| factor.without_unknowns(|column| column >= problem.unknowns.len());
+        let (factor, of_sets) = (own(&extended), of_sets.iter().map(own).collect::<Vec<Factor>>());
+        let found = identifiability(problem, &factor, self.rank_tolerance);
+        let rank = found.rank;
+        if rank < problem.unknowns.len() {
+            return Err(confounded(&found));
+        }
+        let statistics = ResidualStatistics::from((&residuals, rank));
+        let scales = self.scales(&statistics, None);
+        let propagation =
+            Propagation::of_factors(problem, &factor.covariance_root(rank), (&of_sets, &extended), scales);
+        self.check_redundancy(&statistics, rank, &propagation)?;
+        let (points, squares) = residuals.points;
+        let told = Told {
+            radial_rms: (points > 0).then(|| (squares / points as f64).sqrt()),
+            equivalent_motion_errors: Vec::new(),
+            variance: Vec::new(),
+        };
+        let fit = self.report(problem, (&factor, found), &statistics, (iterations, last_step, gradient_cosine), told);
+        let mut calibration = calibration(problem, &x, propagation.covariance(problem), Vec::new(), fit);
+        calibration.uncertainty = self.explained.then(|| propagation.budget(problem, self.coverage_probability));
+        Ok(calibration)
+    }
+
+    /// Fails if the scatter of the residuals is needed, and says nothing.
+    fn check_redundancy(&self, statistics: &ResidualStatistics, rank: usize, propagation: &Propagation) -> Result<()> {
+        // A repeated estimate without some rows needs only values and predictions. It may leave no degrees of freedom.
+        let told = self.explained && !self.trust_uncertainties;
+        if statistics.redundancy > 0.0 || !told || !propagation.is_scaled() {
+            return Ok(());
+        }
+        Err(Error::data(format!(
+            "the data leave no degrees of freedom ({} equations for {rank} unknowns): the scatter of the residuals says nothing",
+            statistics.used
+        ))
+        .help("set `trust_uncertainties: true` to take the stated uncertainties, or measure more")
+        .setting("trust_uncertainties"))
+    }
+
+    /// The report of a fit; `factor` is that of its rows in nominal contact.
+    fn report(
+        &self,
+        problem: &Problem,
+        (factor, found): (&Factor, Identifiability),
+        statistics: &ResidualStatistics,
+        (iterations, last_step, gradient_cosine): (usize, Option<f64>, Option<f64>),
+        told: Told,
+    ) -> FitReport {
+        let angles = Some(&statistics.angles).filter(|angles| angles.count > 0);
+        FitReport {
             observations: statistics.used,
             unknowns: problem.unknowns.len(),
             rank: found.rank,
@@ -163,7 +231,7 @@ impl UncertaintyEvaluation {
             residual_max_um: statistics.lengths.max * 1e3,
             residual_mean_abs_um: statistics.lengths.mean_abs * 1e3,
             residual_rms_um: statistics.lengths.rms * 1e3,
-            residual_radial_rms_um: radial_rms(problem, &residuals, is_used).map(|rms| rms * 1e3),
+            residual_radial_rms_um: told.radial_rms.map(|rms| rms * 1e3),
             residual_max_urad: angles.map(|angles| angles.max * 1e6),
             residual_mean_abs_urad: angles.map(|angles| angles.mean_abs * 1e6),
             residual_rms_urad: angles.map(|angles| angles.rms * 1e6),
@@ -175,15 +243,12 @@ impl UncertaintyEvaluation {
             selection_by_prediction: None,
             ordinary_covariance: None,
             implausible: Vec::new(),
-            equivalent_motion_errors: if self.explained { equivalent_motion_errors(problem)? } else { Vec::new() },
-            variance: components.map_or_else(Vec::new, |found| found.named(problem)),
+            equivalent_motion_errors: told.equivalent_motion_errors,
+            variance: told.variance,
             agreement: None,
             statuses: BTreeMap::new(),
             known_degrees_of_freedom: BTreeMap::new(),
-        };
-        let mut calibration = calibration(problem, &x, propagation.covariance(problem), outliers, fit);
-        calibration.uncertainty = self.explained.then(|| propagation.budget(problem, self.coverage_probability));
-        Ok(calibration)
+        }
     }
 
     /// What the data determine of a problem, before anything is solved.

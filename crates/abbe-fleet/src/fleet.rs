@@ -36,7 +36,19 @@ pub(crate) struct FamilyWanted {
     pub recipe: PathBuf,
     pub template: Template,
     pub trials: Option<TrialsWanted>,
+    pub shards: Option<ShardsWanted>,
     pub jobs: Vec<Wanted>,
+}
+
+/// One estimate from files that no process has all of.
+#[derive(Debug, Clone)]
+pub(crate) struct ShardsWanted {
+    /// The estimate.
+    pub stage: String,
+    /// The ingest stage whose files are dealt out.
+    pub from: String,
+    /// How many of them a job has.
+    pub files: usize,
 }
 
 /// Trials in blocks.
@@ -122,13 +134,7 @@ fn family(name: &str, node: &Node<'_>, folder: &Path) -> Result<FamilyWanted> {
         let message = format!("`{name}` cannot name a family: letters, digits, `-` and `_` were expected");
         return Err(node.error(At::Key, message));
     }
-    if let Some(node) = node.get("shards") {
-        let message = "shards of one huge data set are not there yet: the rows of an estimate have to fit into one job";
-        return Err(node
-            .error(At::Key, message)
-            .help("divide the measurements into recipes of their own, or thin them"));
-    }
-    node.only(&["recipe", "for", "set", "machine", "label", "at", "unit", "trials"])?;
+    node.only(&["recipe", "for", "set", "machine", "label", "at", "unit", "trials", "shards"])?;
     let Some(recipe) = node.get("recipe") else {
         return Err(node.missing(&["recipe"], "the key `recipe` is missing: what does a job run?"));
     };
@@ -141,6 +147,10 @@ fn family(name: &str, node: &Node<'_>, folder: &Path) -> Result<FamilyWanted> {
         }
     })?;
     let trials = node.get("trials").map(|node| trials(&node, &template)).transpose()?;
+    let shards = node.get("shards").map(|node| shards(&node, &template)).transpose()?;
+    if let (Some(node), Some(_)) = (node.get("shards"), &trials) {
+        return Err(node.error(At::Key, "a family has `trials` or `shards`, not both"));
+    }
     let sets = node.get("set").map(|set| set.map()).transpose()?.unwrap_or_default();
     for (way, node) in &sets {
         let tried = template.clone().set(&parts(way), Value::Null);
@@ -161,7 +171,7 @@ fn family(name: &str, node: &Node<'_>, folder: &Path) -> Result<FamilyWanted> {
         Ok(Wanted { name: named.collect::<Vec<_>>().join("/"), variables: one.variables, settings, kept })
     };
     let jobs = combinations(node.get("for").as_ref(), folder)?.into_iter().map(one).collect::<Result<_>>()?;
-    Ok(FamilyWanted { name: name.to_owned(), recipe: path, template, trials, jobs })
+    Ok(FamilyWanted { name: name.to_owned(), recipe: path, template, trials, shards, jobs })
 }
 
 fn parts(way: &str) -> Vec<String> {
@@ -170,17 +180,36 @@ fn parts(way: &str) -> Vec<String> {
 
 fn trials(node: &Node<'_>, template: &Template) -> Result<TrialsWanted> {
     node.only(&["stage", "block"])?;
-    let missing = |key: &str, what: &str| node.missing(&[key], format!("the key `{key}` is missing: {what}"));
-    let stage = node.get("stage").ok_or_else(|| missing("stage", "the estimate whose trials are dealt out"))?;
-    let names = template.stages();
-    if !names.contains(&stage.text()?) {
-        let message = format!("the recipe has no stage `{}`", stage.text()?);
-        return Err(stage.error(At::Value, message).suggest(stage.text()?, names));
+    Ok(TrialsWanted {
+        stage: stage(node, template, "stage", "the estimate whose trials are dealt out")?,
+        block: count(node, "block", "the number of trials of a job")?,
+    })
+}
+
+fn shards(node: &Node<'_>, template: &Template) -> Result<ShardsWanted> {
+    node.only(&["stage", "from", "files"])?;
+    Ok(ShardsWanted {
+        stage: stage(node, template, "stage", "the estimate of all files")?,
+        from: stage(node, template, "from", "the ingest stage whose files are dealt out")?,
+        files: count(node, "files", "the number of files of a job")?,
+    })
+}
+
+/// The name of a stage of the recipe under a key that has to be there.
+fn stage(node: &Node<'_>, template: &Template, key: &str, what: &str) -> Result<String> {
+    let stage = node.get(key).ok_or_else(|| node.missing(&[key], format!("the key `{key}` is missing: {what}")))?;
+    let (name, names) = (stage.text()?, template.stages());
+    match names.contains(&name) {
+        true => Ok(name.to_owned()),
+        false => Err(stage.error(At::Value, format!("the recipe has no stage `{name}`")).suggest(name, names)),
     }
-    let block = node.get("block").ok_or_else(|| missing("block", "the number of trials of a job"))?;
-    let count = block.value.as_u64().filter(|count| *count > 0).and_then(|count| usize::try_from(count).ok());
-    let count = count.ok_or_else(|| block.error(At::Value, "block: a whole number from 1 was expected"))?;
-    Ok(TrialsWanted { stage: stage.text()?.to_owned(), block: count })
+}
+
+/// A number from 1 under a key that has to be there.
+fn count(node: &Node<'_>, key: &str, what: &str) -> Result<usize> {
+    let count = node.get(key).ok_or_else(|| node.missing(&[key], format!("the key `{key}` is missing: {what}")))?;
+    let number = count.value.as_u64().filter(|count| *count > 0).and_then(|count| usize::try_from(count).ok());
+    number.ok_or_else(|| count.error(At::Value, format!("{key}: a whole number from 1 was expected")))
 }
 
 /// What the history gets to know of a job.

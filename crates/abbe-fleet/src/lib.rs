@@ -1,7 +1,7 @@
 //! Many calibrations as independent jobs, on one machine or on an engine that deals them out.
 //!
-//! [`Fleet`] reads what is wanted: a recipe for every combination of variables, or the trials of a Monte Carlo calculation in
-//! blocks. [`plan`] makes a [`Manifest`] of it: jobs that are known by the hash of all that their results depend on. A [`Worker`]
+//! [`Fleet`] reads what is wanted: a recipe for every combination of variables, the trials of a Monte Carlo calculation in
+//! blocks, or one estimate of files that no process has all of, in shards. [`plan`] makes a [`Manifest`] of it: jobs that are known by the hash of all that their results depend on. A [`Worker`]
 //! does a job and puts its result into a [`Store`], whole or not at all; [`supervise`] does many in processes of their own.
 //! [`merge`] puts the results together in the order of the manifest, wherever and in which order they were made.
 //!
@@ -14,6 +14,7 @@ mod hash;
 mod manifest;
 mod merge;
 mod plan;
+mod rounds;
 mod status;
 mod store;
 mod supervise;
@@ -22,9 +23,10 @@ mod text;
 mod worker;
 
 pub use fleet::Fleet;
-pub use manifest::{Family, Head, Job, MANIFEST_FORMAT, Manifest, Trials};
+pub use manifest::{Family, Head, Job, MANIFEST_FORMAT, Manifest, Point, Shard, Trials};
 pub use merge::{Merged, merge};
 pub use plan::plan;
+pub use rounds::{Rounds, next_round};
 pub use status::{Status, status};
 pub use store::{RESULT_FORMAT, Store};
 pub use supervise::{Finished, Limits, supervise};

@@ -1,12 +1,13 @@
 //! The manifest: one line that says what the fleet is, then one line for each job. It is JSON line by line, so that one job is found
 //! without reading the others.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use abbe_core::{Error, FileFormat, Result};
+use abbe_core::{AskedOfPart, Error, FileFormat, Result};
 use abbe_engine::{FileRecord, temporary_file};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -46,7 +47,13 @@ pub struct Head {
     pub history: Option<String>,
     /// The families.
     pub families: Vec<Family>,
+    /// For estimates in shards the values, by name, at which their shards are asked in this round; none at the start.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub points: BTreeMap<String, Point>,
 }
+
+/// Values of unknowns by their names, mm, rad and their powers.
+pub type Point = BTreeMap<String, f64>;
 
 /// Jobs of one recipe.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -58,6 +65,16 @@ pub struct Family {
     /// The estimate whose trials are dealt out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trials_of: Option<String>,
+    /// The estimate that is made of shards.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shards_of: Option<String>,
+}
+
+impl Family {
+    /// The estimate whose trials or shards are dealt out.
+    pub fn dealt_out(&self) -> Option<&str> {
+        self.trials_of.as_deref().or(self.shards_of.as_deref())
+    }
 }
 
 /// A setting that replaces one of the recipe.
@@ -98,6 +115,25 @@ pub struct Trials {
     pub all: usize,
 }
 
+/// The files of a job that is a shard of one estimate.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Shard {
+    /// The name of what all shards together are.
+    pub of: String,
+    /// Its number, from 0.
+    pub number: usize,
+    /// How many there are.
+    pub all: usize,
+    /// The ingest stage whose files are dealt out.
+    pub from: String,
+    /// Its own files, from the folder of the recipe.
+    pub files: Vec<String>,
+    /// The round, from 0.
+    pub round: usize,
+    /// What it is asked in this round.
+    pub asked: AskedOfPart,
+}
+
 /// A job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Job {
@@ -120,17 +156,24 @@ pub struct Job {
     /// The trials that it solves, if it is a block.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trials: Option<Trials>,
+    /// The files that it has, if it is a shard.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shard: Option<Shard>,
     /// Why it cannot be done at all.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refused: Option<String>,
 }
 
 impl Job {
-    /// The hash of all that a result depends on: the program, the recipe as the job has it, the trials, and what is in the files.
-    pub(crate) fn hash(&self, recipe: &str, text: &Value) -> String {
+    /// The hash of all that a result depends on: the program, the recipe as the job has it, the trials, what a shard is asked at which
+    /// values, and what is in the files.
+    pub(crate) fn hash(&self, recipe: &str, text: &Value, points: &BTreeMap<String, Point>) -> String {
         let trials = self.trials.as_ref().map(|trials| (trials.first, trials.count));
         let inputs: Vec<(&str, &str)> = (self.inputs.iter()).map(|input| (&*input.file, &*input.sha256)).collect();
-        sha256(json!([RESULT_FORMAT, VERSION, recipe, text, trials, inputs]).to_string().as_bytes())
+        let mut all =
+            vec![json!(RESULT_FORMAT), json!(VERSION), json!(recipe), text.clone(), json!(trials), json!(inputs)];
+        all.extend(self.shard.as_ref().map(|shard| json!([shard.number == 0, shard.asked, points.get(&shard.of)])));
+        sha256(Value::Array(all).to_string().as_bytes())
     }
 }
 

@@ -12,6 +12,7 @@ use abbe_history::{Entry, Stored};
 use serde_json::{Value, json};
 
 use crate::manifest::{Job, Kept, Manifest, VERSION};
+use crate::rounds::{Answer, Estimate};
 use crate::store::Store;
 use crate::table::{Cell, Column, Table};
 use crate::unwritable;
@@ -52,7 +53,7 @@ pub fn merge(
     if !partial {
         none_open(manifest)?;
     }
-    let (mut last, mut families) = (None, Vec::new());
+    let (mut last, mut shards, mut families) = (None, Vec::new(), Vec::new());
     fs::create_dir_all(out).map_err(|error| unwritable(out, &error))?;
     for family in &manifest.head.families {
         families.push(family.trials_of.as_deref());
@@ -67,8 +68,9 @@ pub fn merge(
         names: Names::default(),
         merged: Merged::default(),
     };
-    manifest.each_job(0..manifest.head.jobs, |_, job| match (&job.trials, families[job.family]) {
-        (Some(_), Some(stage)) => merging.block(&mut last, job, stage, registries),
+    manifest.each_job(0..manifest.head.jobs, |_, job| match (&job.trials, families[job.family], &job.shard) {
+        (Some(_), Some(stage), _) => merging.block(&mut last, job, stage, registries),
+        (_, _, Some(_)) => merging.shard(&mut shards, job, partial, registries),
         _ => merging.job(&job),
     })?;
     let Merging { tables, keeper, merged, .. } = merging;
@@ -210,6 +212,40 @@ impl Merging<'_> {
         match blocks.found(&self.manifest.head.families[job.family], &job, stage, registries) {
             Ok(found) => self.found(&job, &trials.of, found, true),
             Err(error) => self.told(&job, &trials.of, "failed", "", &error.to_string()),
+        }
+    }
+
+    /// Adds a shard of an estimate; with the last one what all of them are.
+    fn shard(&mut self, shards: &mut Vec<Job>, job: Job, partial: bool, registries: &Registries<'_>) -> Result<()> {
+        let Some(shard) = job.shard.clone() else { return Ok(()) };
+        if !self.store.has(&job.job) {
+            self.without(&job, &job.name)?;
+        }
+        shards.push(job);
+        if shard.number + 1 < shard.all {
+            return Ok(());
+        }
+        let (shards, of) = (std::mem::take(shards), shard.of);
+        let missing = shards.iter().filter(|job| !self.store.has(&job.job)).count();
+        if missing > 0 {
+            let reason = format!("{missing} of its shards have no result");
+            return self.told(&shards[0], &of, "failed", "", &reason);
+        }
+        let estimate = Estimate::new(&self.manifest.head.families[shards[0].family], &shards, &self.store, registries)?;
+        match estimate.of_all().and_then(|answer| match answer {
+            Answer::Found(found) => estimate.as_run(*found).map(Some),
+            Answer::Asks(..) => Ok(None),
+        }) {
+            Ok(Some(found)) => self.found(&shards[0], &of, found, true),
+            Ok(None) if !partial => {
+                let error = Error::data(format!("the shards of `{of}` have another round to do"));
+                Err(error.help("`abbe fleet next` puts it into the manifest, and `abbe fleet run` does all rounds"))
+            }
+            Ok(None) => {
+                self.merged.open += 1;
+                self.row_of_job(&shards[0], &of, "open", "", "")
+            }
+            Err(error) => self.told(&shards[0], &of, "failed", "", &error.to_string()),
         }
     }
 

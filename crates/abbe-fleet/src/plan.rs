@@ -4,14 +4,15 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use abbe_core::{Error, Kind, Registry, Result, in_parallel};
+use abbe_core::{AskedOfPart, Error, Kind, Registry, Result, in_parallel};
 use abbe_engine::{FileRecord, prepared};
 use abbe_recipe::Template;
 use serde_json::Value;
 
-use crate::fleet::{FamilyWanted, Fleet, TrialsWanted, Wanted};
+use crate::fleet::{FamilyWanted, Fleet, ShardsWanted, TrialsWanted, Wanted};
 use crate::hash::sha256_of;
-use crate::manifest::{Family, Head, Job, MANIFEST_FORMAT, Manifest, Trials, VERSION, relative};
+use crate::manifest::{Family, Head, Job, MANIFEST_FORMAT, Manifest, Shard, Trials, VERSION, relative};
+use crate::rounds::next_round;
 use crate::unreadable;
 use crate::worker::{Registries, adapted};
 
@@ -37,6 +38,7 @@ pub fn plan(fleet: &Fleet, path: &Path, registries: &Registries<'_>) -> Result<(
         name: wanted.name.clone(),
         recipe: wanted.recipe.display().to_string(),
         trials_of: wanted.trials.as_ref().map(|trials| trials.stage.clone()),
+        shards_of: wanted.shards.as_ref().map(|shards| shards.stage.clone()),
     };
     let here = std::env::current_dir().map_err(|error| unreadable(Path::new("."), &error))?;
     let place = abbe_files::place(path);
@@ -48,8 +50,19 @@ pub fn plan(fleet: &Fleet, path: &Path, registries: &Registries<'_>) -> Result<(
         jobs: jobs.len(),
         history: fleet.history.clone(),
         families: fleet.families.iter().map(family).collect(),
+        points: BTreeMap::new(),
     };
-    Ok((Manifest::write(path, head, &jobs)?, jobs))
+    let mut manifest = Manifest::write(path, head, &jobs)?;
+    // Rounds of shards that are done already are not done again.
+    if manifest.has_shards() {
+        next_round(&mut manifest, registries)?;
+        jobs.clear();
+        manifest.each_job(0..manifest.head.jobs, |_, job| {
+            jobs.push(job);
+            Ok(())
+        })?;
+    }
+    Ok((manifest, jobs))
 }
 
 /// The hashes of files, each read once.
@@ -79,45 +92,53 @@ struct FamilyPlan<'a> {
 }
 
 impl FamilyPlan<'_> {
-    /// The jobs of one combination of variables: one, or the blocks of its trials.
+    /// The jobs of one combination of variables: one, or the blocks of its trials, or its shards.
     fn jobs(&self, wanted: &Wanted) -> Result<Vec<Job>> {
-        let blocks = match &self.wanted.trials {
-            None => vec![None],
-            Some(trials) => self.blocks(wanted, trials)?.into_iter().map(Some).collect(),
+        let whole = Job {
+            job: String::new(),
+            name: wanted.name.clone(),
+            family: self.index,
+            variables: wanted.variables.clone(),
+            set: wanted.settings.clone(),
+            inputs: Vec::new(),
+            history: wanted.kept.clone(),
+            trials: None,
+            shard: None,
+            refused: None,
         };
+        let planned: Vec<Job> = match (&self.wanted.trials, &self.wanted.shards) {
+            (Some(trials), _) => {
+                let blocks = self.blocks(wanted, trials)?.into_iter();
+                blocks.map(|block| Job { name: name_of_block(&block), trials: Some(block), ..whole.clone() }).collect()
+            }
+            (None, Some(shards)) => match self.shards(&whole, shards) {
+                Ok(all) => all
+                    .into_iter()
+                    .map(|shard| Job { name: name_of_shard(&shard), shard: Some(shard), ..whole.clone() })
+                    .collect(),
+                Err(error) => vec![Job { refused: Some(error.to_string()), ..whole }],
+            },
+            (None, None) => vec![whole],
+        };
+        let of = self.wanted.trials.as_ref().map(|trials| trials.stage.as_str());
+        let of = of.or(self.wanted.shards.as_ref().map(|shards| shards.stage.as_str()));
         let mut inputs = None;
         let mut jobs = Vec::new();
-        for block in blocks {
-            let mut job = Job {
-                job: String::new(),
-                name: match &block {
-                    None => wanted.name.clone(),
-                    Some(Trials { first, count, .. }) => {
-                        format!("{}/trials {first}-{}", wanted.name, first + count - 1)
-                    }
-                },
-                family: self.index,
-                variables: wanted.variables.clone(),
-                set: wanted.settings.clone(),
-                inputs: Vec::new(),
-                history: wanted.kept.clone(),
-                trials: block,
-                refused: None,
-            };
-            let of = self.wanted.trials.as_ref().map(|trials| trials.stage.as_str());
+        for mut job in planned {
             let text = adapted(&self.wanted.template, &job, of, self.registry);
             // All blocks read the same files.
             let read = text.as_ref().map_err(Clone::clone).and_then(|text| match inputs.take() {
-                Some(inputs) => Ok(inputs),
-                None => self.inputs(wanted, text),
+                Some(inputs) if job.shard.is_none() => Ok(inputs),
+                _ => self.inputs(wanted, text),
             });
             match read {
+                _ if job.refused.is_some() => {}
                 Ok(found) => job.inputs = found,
                 Err(error) if is_of_family(&error) => return Err(error),
                 Err(error) => job.refused = Some(error.to_string()),
             }
             let text = text.as_ref().map_or(self.wanted.template.value(), Template::value);
-            job.job = job.hash(&self.wanted.recipe.display().to_string(), text);
+            job.job = job.hash(&self.wanted.recipe.display().to_string(), text, &BTreeMap::new());
             inputs = job.refused.is_none().then(|| job.inputs.clone());
             jobs.push(job);
         }
@@ -140,6 +161,30 @@ impl FamilyPlan<'_> {
             }
         }
         Ok(inputs)
+    }
+
+    /// The shards of one estimate: some files each, in their order.
+    fn shards(&self, whole: &Job, shards: &ShardsWanted) -> Result<Vec<Shard>> {
+        let mut text = self.wanted.template.clone();
+        for setting in &whole.set {
+            text.set(&setting.at, setting.value.clone())?;
+        }
+        let prepared = prepared(text.recipe(self.registry)?, self.registry)?;
+        prepared.check_parts(&shards.stage, &shards.from)?;
+        let base = &prepared.recipe.base;
+        let own = |file: PathBuf| file.strip_prefix(base).unwrap_or(&file).display().to_string();
+        let files: Vec<String> = prepared.measured_files(&shards.from)?.into_iter().map(own).collect();
+        let all = files.len().div_ceil(shards.files);
+        let shard = |(number, files): (usize, &[String])| Shard {
+            of: whole.name.clone(),
+            number,
+            all,
+            from: shards.from.clone(),
+            files: files.to_vec(),
+            round: 0,
+            asked: AskedOfPart::Start,
+        };
+        Ok(files.chunks(shards.files).enumerate().map(shard).collect())
     }
 
     /// The blocks of the trials of a combination.
@@ -168,9 +213,22 @@ impl FamilyPlan<'_> {
     }
 }
 
+/// What people call a block.
+fn name_of_block(Trials { of, first, count, .. }: &Trials) -> String {
+    format!("{of}/trials {first}-{}", first + count - 1)
+}
+
+/// What people call a shard in its round, both from 1.
+pub fn name_of_shard(Shard { of, number, round, .. }: &Shard) -> String {
+    format!("{of}/shard {}, round {}", number + 1, round + 1)
+}
+
 /// The settings of an estimate by trials: a block to solve, and where solved ones are.
 pub const BLOCK: &str = "block";
 pub const SOLVED: &str = "solved";
+
+/// The setting of an ingest stage that names its files.
+pub const PATH: &str = "path";
 
 /// What to do about a history that does not know when.
 const WHEN: &str =

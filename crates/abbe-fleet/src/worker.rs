@@ -5,14 +5,14 @@ use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
 
 use abbe_core::{Calibration, Error, Monitor, Registry, Result, Verdict};
-use abbe_engine::{FailureRecord, FileRecord, Outcome, PluginRecord, Remark, prepared};
+use abbe_engine::{FailureRecord, FileRecord, Outcome, PluginRecord, Remark, Share, prepared};
 use abbe_recipe::Template;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::hash::sha256_of;
-use crate::manifest::{Job, Manifest, Trials};
-use crate::plan::{BLOCK, number, way};
+use crate::manifest::{Job, Manifest, Point, Shard, Trials};
+use crate::plan::{BLOCK, PATH, number, way};
 use crate::store::Store;
 use crate::unreadable;
 
@@ -64,18 +64,24 @@ pub struct BlockHead {
     pub count: usize,
 }
 
-/// The recipe of a job: with its settings, without exporters that nobody judges; of a block of trials what they need alone.
-pub fn adapted(family: &Template, job: &Job, trials_of: Option<&str>, registry: &Registry) -> Result<Template> {
+/// The recipe of a job: with its settings, without exporters that nobody judges; of a block of trials and of a shard what they need
+/// alone. `of` is the estimate whose trials or shards are dealt out.
+pub fn adapted(family: &Template, job: &Job, of: Option<&str>, registry: &Registry) -> Result<Template> {
     let mut text = family.clone();
     for setting in &job.set {
         text.set(&setting.at, setting.value.clone())?;
     }
-    let (Some(Trials { first, count, .. }), Some(stage)) = (&job.trials, trials_of) else {
-        without_exports(&mut text);
-        return Ok(text);
-    };
-    with_what_it_needs(&mut text, stage, registry)?;
-    text.set(&way(stage, BLOCK), json!({ "first": number(*first), "count": number(*count) }))?;
+    match (&job.trials, &job.shard, of) {
+        (Some(Trials { first, count, .. }), _, Some(stage)) => {
+            with_what_it_needs(&mut text, stage, registry)?;
+            text.set(&way(stage, BLOCK), json!({ "first": number(*first), "count": number(*count) }))?;
+        }
+        (None, Some(Shard { from, files, .. }), Some(stage)) => {
+            with_what_it_needs(&mut text, stage, registry)?;
+            text.set(&way(from, PATH), json!(files))?;
+        }
+        _ => without_exports(&mut text),
+    }
     Ok(text)
 }
 
@@ -152,23 +158,44 @@ impl<'a> Worker<'a> {
             Some(ready) => ready,
             None => ready.insert((Template::read(&recipe, &recipe)?, (self.registries)(&recipe)?)),
         };
-        let text = adapted(template, job, family.trials_of.as_deref(), registry)?;
-        if job.hash(&family.recipe, text.value()) != job.job {
+        let text = adapted(template, job, family.dealt_out(), registry)?;
+        let points = &self.manifest.head.points;
+        if job.hash(&family.recipe, text.value(), points) != job.job {
             let message = "the recipe, or this line of the manifest, is not the one that was planned";
             return Err(Error::data(message).help(AGAIN).in_file(&recipe));
         }
-        let outcome = prepared(text.recipe(registry)?, registry)?.run(&Monitor::default())?;
-        let found = Found::of(&outcome);
-        if found.inputs != job.inputs {
-            let error = changed_input(&job.inputs);
-            return Err(error.unwrap_or_else(|| Error::data("a file has changed in the meantime").help(AGAIN)));
+        let prepared = prepared(text.recipe(registry)?, registry)?;
+        if let (Some(shard), Some(stage)) = (&job.shard, &family.shards_of) {
+            let none = Point::new();
+            let share = Share { from: &shard.from, with_others: shard.number == 0 };
+            let part = prepared.part(stage, share, shard.asked, points.get(&shard.of).unwrap_or(&none))?;
+            as_planned(&part.inputs, job)?;
+            return written(&part);
         }
+        let outcome = prepared.run(&Monitor::default())?;
+        let found = Found::of(&outcome);
+        as_planned(&found.inputs, job)?;
         match (&job.trials, &family.trials_of) {
             (Some(trials), Some(stage)) => block(&outcome, stage, trials),
-            _ => serde_json::to_vec(&found)
-                .map_err(|error| Error::data(format!("the result cannot be written: {error}"))),
+            _ => written(&found),
         }
     }
+}
+
+/// Fails if files were read that are not those that were planned.
+fn as_planned(read: &[FileRecord], job: &Job) -> Result<()> {
+    match read == job.inputs {
+        true => Ok(()),
+        false => {
+            Err(changed_input(&job.inputs)
+                .unwrap_or_else(|| Error::data("a file has changed in the meantime").help(AGAIN)))
+        }
+    }
+}
+
+/// A result as it is kept.
+fn written(result: &impl Serialize) -> Result<Vec<u8>> {
+    serde_json::to_vec(result).map_err(|error| Error::data(format!("the result cannot be written: {error}")))
 }
 
 /// What to do about files that have changed.

@@ -66,8 +66,19 @@ impl Factor {
         &self.right
     }
 
-    pub(crate) fn of_rows(self, rows: usize) -> Self {
+    /// The same factor, said to be of this many rows: those that its own rows are the triangles of.
+    #[must_use]
+    pub fn of_rows(self, rows: usize) -> Self {
         Self { rows, ..self }
+    }
+
+    /// The rows of its triangle, zeros before the diagonal, and a last one for what remains: n + 1 rows `[J | r]` that tell what all rows
+    /// tell.
+    pub fn lines(&self) -> Vec<Vec<f64>> {
+        let n = self.unknowns();
+        let line = |row: usize| (0..n).map(|column| self.triangle[(row, column)]).chain([self.right[row]]).collect();
+        let rest = std::iter::repeat_n(0.0, n).chain([self.rest.sqrt()]).collect();
+        (0..n).map(line).chain([rest]).collect()
     }
 
     /// The factor of all rows of several factors of the same unknowns; None for factors of other numbers of unknowns, and for none.
@@ -92,12 +103,8 @@ impl Factor {
             return None;
         }
         let mut accumulator = Accumulator::new(unknowns, factors.len() * (unknowns + 1));
-        for factor in factors {
-            for row in 0..unknowns {
-                let line: Vec<f64> = (0..unknowns).map(|column| factor.triangle[(row, column)]).collect();
-                accumulator.push(&line, factor.right[row], 1.0);
-            }
-            accumulator.push(&vec![0.0; unknowns], factor.rest.sqrt(), 1.0);
+        for line in factors.iter().flat_map(|factor| factor.lines()) {
+            accumulator.push(&line[..unknowns], line[unknowns], 1.0);
         }
         Some(accumulator.finish().of_rows(factors.iter().map(|factor| factor.rows).sum()))
     }

@@ -9,6 +9,7 @@ mod format;
 mod identifiability;
 mod identity;
 mod limit;
+mod part;
 mod verdict;
 
 pub use budget::{
@@ -26,4 +27,5 @@ pub use format::FileFormat;
 pub use identifiability::{Combination, EquivalentMotionError, Identifiability, WeakDirection};
 pub use identity::Certificate;
 pub use limit::{Limit, rule_or_name, schema_of_rules};
+pub use part::{AskedOfPart, PartEvidence, ResidualSums, SizeSums, Triangle};
 pub use verdict::{Figure, Findings, VERDICTS_FORMAT, Verdict};

@@ -7,7 +7,10 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use abbe_core::{Error, Monitor, Result, harmless};
-use abbe_fleet::{Finished, Fleet, Limits, Manifest, Status, Worker, merge, plan, serve, status, supervise};
+use abbe_fleet::{
+    Finished, Fleet, Limits, Manifest, Registries, Rounds, Status, Worker, merge, next_round, plan, serve, status,
+    supervise,
+};
 use clap::{Args, Subcommand};
 use indicatif::ProgressBar;
 use serde_json::json;
@@ -72,6 +75,11 @@ pub enum Asked {
         #[arg(long)]
         partial: bool,
     },
+    /// Put the next round of estimates in shards into the manifest, for engines that deal jobs out; `run` does so by itself.
+    Next {
+        /// The manifest.
+        manifest: PathBuf,
+    },
     /// Do the jobs whose lines come in.
     #[command(hide = true)]
     Work { manifest: PathBuf },
@@ -119,8 +127,10 @@ impl Asked {
                 let manifest = Manifest::read(&manifest)?;
                 let cores = || std::thread::available_parallelism().map_or(1, usize::from);
                 let workers = workers.map_or_else(cores, usize::from);
-                let all = 0..manifest.head.jobs;
-                done(&manifest, all, &tries.limits(workers), libraries, verbose)
+                let limits = tries.limits(workers);
+                all_rounds(manifest, &registries, |manifest| {
+                    done(manifest, 0..manifest.head.jobs, &limits, libraries, verbose)
+                })
             }
             Self::Job { manifest, index, count, tries } => {
                 let manifest = Manifest::read(&manifest)?;
@@ -152,6 +162,18 @@ impl Asked {
                 }
                 Ok(with_failures(text, &merged.failed))
             }
+            Self::Next { manifest } => {
+                let mut manifest = Manifest::read(&manifest)?;
+                let rounds = inside(&manifest.base(), || next_round(&mut manifest, &registries))?;
+                let Rounds { asked, open, done, failed } = &rounds;
+                let (word, asked) = (if asked.is_empty() { "no" } else { "a" }, asked.len());
+                let text = format!(
+                    "{word} new round: {asked} estimates in shards have one, {} are open, {} are done\n",
+                    open.len(),
+                    done.len()
+                );
+                Ok(with_failures(text, failed))
+            }
             Self::Work { manifest } => {
                 let manifest = Manifest::read(&manifest)?;
                 inside(&manifest.base(), || {
@@ -182,6 +204,25 @@ fn inside<T>(folder: &Path, work: impl FnOnce() -> Result<T>) -> Result<T> {
 
 fn cannot_enter(folder: &Path, error: &io::Error) -> Error {
     Error::usage(format!("{} cannot be used: {error}", folder.display()))
+}
+
+/// Does jobs, and the rounds of estimates in shards that follow from them, until there are no more.
+fn all_rounds(
+    mut manifest: Manifest,
+    registries: &Registries<'_>,
+    done: impl Fn(&Manifest) -> Result<(String, u8)>,
+) -> Result<(String, u8)> {
+    let (mut told, base) = (String::new(), manifest.base());
+    loop {
+        let (text, mut code) = done(&manifest)?;
+        told.push_str(&text);
+        let rounds = inside(&base, || next_round(&mut manifest, registries))?;
+        if rounds.asked.is_empty() {
+            let (text, failed) = with_failures(String::new(), &rounds.failed);
+            code = code.max(failed);
+            return Ok((told + &text, code));
+        }
+    }
 }
 
 fn planned(manifest: &Manifest, refused: &[(String, String)]) -> (String, u8) {

@@ -437,6 +437,12 @@ impl Artefact for Balls {
         }))
     }
 
+    /// Centres that are fitted have several rows, and what certificates state holds for all rows.
+    fn rows_are_independent(&self) -> bool {
+        let Settings { centres_by, distances, diameters, .. } = &self.settings;
+        centres_by.is_none() && distances.is_empty() && diameters.is_empty()
+    }
+
     fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>> {
         let outward = self.settings.pattern.normals();
         let mut targets = Vec::new();

@@ -242,6 +242,10 @@ impl Artefact for CalibratedPoints {
         }))
     }
 
+    fn rows_are_independent(&self) -> bool {
+        true
+    }
+
     fn targets(&self, _: f64) -> Result<Vec<Target>> {
         let (points, placements) = (self.points.read(&self.settings)?, self.read_placements()?);
         let placed = placements.items.iter().flat_map(|placement| {

@@ -294,6 +294,12 @@ impl Artefact for Facets {
         Ok(Arc::new(Touches { info, facets, touches, radius }))
     }
 
+    /// Whether a facet was touched at its point or beside it is judged by the touches that are there: nominal contact, where
+    /// uncertainties are computed, may be 1 mm beside that of all touches.
+    fn rows_are_independent(&self) -> bool {
+        true
+    }
+
     fn targets(&self, stylus_radius: f64) -> Result<Vec<Target>> {
         let targets = self.read_nominal()?.into_iter().map(|facet| Target {
             tip: (facet.point + stylus_radius * facet.normal).into(),

@@ -4,6 +4,7 @@
 //! anything is solved; a direction that they cannot determine is an error, unless `on_confounded` says what to do with it.
 
 mod convergence;
+mod parts;
 mod prediction;
 mod select;
 mod settings;
@@ -11,8 +12,8 @@ mod settings;
 use std::collections::BTreeSet;
 
 use abbe_core::{
-    Calibration, Context, Error, Estimate, Identifiability, Owner, PathItem, Problem, Quantity, Result, SettingsError,
-    Status, Unknown,
+    Calibration, Context, Error, Estimate, Identifiability, Owner, Parts, PathItem, Problem, Quantity, Result,
+    SettingsError, Status, Unknown,
 };
 use abbe_estimation::{
     EstimatorSolution, Judgement, RankDeficiency, UncertaintyEvaluation, VarianceComponents, Weighted,
@@ -457,6 +458,10 @@ impl Estimate for GaussNewton {
 
     fn explain(&self, problem: &Problem) -> Result<Calibration> {
         self.estimate(problem, true)
+    }
+
+    fn estimate_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Calibration> {
+        self.of_parts(problem, parts)
     }
 
     fn values(&self, problem: &Problem) -> Result<Vec<f64>> {

@@ -4,6 +4,7 @@
 //!   pose does not depend on other poses of its batch; names are unique.
 //! - [`check_observations`]: derivatives of equations agree with difference quotients; rows do not depend on other rows of their
 //!   batch, nor on their order; names are unique.
+//! - [`check_independence`]: an artefact that says that its rows are independent makes the same of some rows as of all.
 //! - [`check_estimator`]: the given errors are found again from exact data, for any order of rows, origin of the machine and
 //!   position of the artefact; a second run gives the same bytes; uncertainties are those of the covariance.
 //!
@@ -11,11 +12,13 @@
 //! with its data.
 
 mod estimator;
+mod independence;
 mod model;
 mod observations;
 mod virtual_machine;
 
 pub use estimator::{check_estimate, check_estimator, largest_derivatives};
+pub use independence::check_independence;
 pub use model::{check_model, check_model_within, samples};
 pub use observations::check_observations;
 pub use virtual_machine::virtual_problem;

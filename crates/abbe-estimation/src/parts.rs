@@ -1,0 +1,228 @@
+//! One estimate from rows in parts: what each part tells, and all of it together.
+//!
+//! Least squares need of rows `[J | r]` the triangle of their QR decomposition alone, and triangles of parts make that of all rows
+//! (Golub and Van Loan 2013, section 5.3.1; the tall and skinny QR of Demmel et al. 2012, SIAM J. Sci. Comput. 34:A206). So a
+//! process holds the rows of one part, and what goes between processes has the size of the unknowns.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use abbe_core::{
+    AskedOfPart, EquationIndex, Error, PartEvidence, Parts, Problem, Quantity, ResidualSums, Result, SetIndex,
+    SizeSums, Triangle, Unknown,
+};
+use abbe_numerics::{Accumulator, Factor, LeastSquares};
+
+use crate::contact::rank_point;
+use crate::judgement::Judgement;
+use crate::residuals::point_squares;
+use crate::weighted::Weighted;
+
+/// What the rows of a part tell at some values of its unknowns.
+///
+/// Fails for rows that belong together with rows of other parts: repeats that are pooled, errors that rows share, constraints of
+/// certificates.
+pub fn part_evidence(problem: &Problem, asked: AskedOfPart, at: &[f64]) -> Result<PartEvidence> {
+    check(problem)?;
+    let names = |unknowns: &[Unknown]| -> Vec<String> { unknowns.iter().map(|known| known.name.clone()).collect() };
+    let own = names(&problem.unknowns);
+    let recorded =
+        || -> Result<Option<Triangle>> { Ok(Some(triangle(&own, &Weighted::new(problem)?.factor(at, None)?))) };
+    match asked {
+        AskedOfPart::Start => {
+            let nominal = Judgement::new(problem, None)?;
+            let nominal = Some(triangle(&own, nominal.factor()));
+            Ok(PartEvidence { recorded: recorded()?, nominal, ..PartEvidence::default() })
+        }
+        AskedOfPart::Rows => Ok(PartEvidence { recorded: recorded()?, ..PartEvidence::default() }),
+        AskedOfPart::Solution => {
+            let mut extended = rank_point(problem, at)?.with_values(at);
+            extended.unknowns.extend(problem.considered.unknowns.iter().cloned());
+            let columns = names(&extended.unknowns);
+            let factors = Weighted::new(&extended)?.factors(&extended.start(), None, &problem.equation_ranges())?;
+            let sets = problem.sets.iter().map(|set| set.name.clone());
+            let in_contact = sets.zip(factors.iter().map(|factor| triangle(&columns, factor))).collect();
+            let residuals = Some(residual_sums(problem, at)?);
+            Ok(PartEvidence { in_contact, residuals, ..PartEvidence::default() })
+        }
+    }
+}
+
+/// Refuses rows that depend on rows of other parts.
+fn check(problem: &Problem) -> Result<()> {
+    let refused = |set: usize, what: &str| {
+        let message = format!("{what}, and no part has all of them");
+        Err(Error::usage(message).help("estimate all rows at once: `abbe run`").stage(&problem.sets[set].name))
+    };
+    for (index, set) in problem.sets.iter().enumerate() {
+        let layout = &set.info().layout;
+        let row_of = |equation| layout.rows.partition_point(|row| row.first_equation <= equation);
+        let rows_of = |equations: &[_]| equations.iter().map(|equation| row_of(*equation)).collect::<BTreeSet<_>>();
+        if set.uncertainty.pooled.is_some() {
+            return refused(index, "repeats are compared with each other");
+        }
+        if set.uncertainty.blocks.iter().any(|block| rows_of(&block.equations).len() > 1) {
+            return refused(index, "rows share errors with others");
+        }
+        if layout.rows.iter().any(|row| row.data_row.is_none()) {
+            return refused(index, "its certificate states what holds for all rows");
+        }
+    }
+    Ok(())
+}
+
+/// A factor with the names of its columns.
+fn triangle(columns: &[String], factor: &Factor) -> Triangle {
+    let lines = factor.lines();
+    let values = lines.iter().enumerate().flat_map(|(zeros, line)| line[zeros..].iter().copied());
+    Triangle { columns: columns.to_vec(), values: values.collect(), rows: factor.rows() }
+}
+
+fn residual_sums(problem: &Problem, at: &[f64]) -> Result<ResidualSums> {
+    let residuals = problem.residuals(at)?;
+    let quantities = problem.quantities();
+    let of = |angles: bool| {
+        let own = residuals.iter().zip(&quantities).filter(move |(_, of)| (**of == Quantity::Angle) == angles);
+        SizeSums::of(own.map(|(residual, _)| *residual))
+    };
+    let (lengths, angles) = (of(false), of(true));
+    let points = point_squares(problem, &residuals, |_: EquationIndex| true);
+    let weighted = Weighted::new(problem)?.in_uncertainties(residuals);
+    Ok(ResidualSums {
+        lengths,
+        angles,
+        weighted_squares: weighted.iter().map(|residual| residual * residual).sum(),
+        points: (points.len(), points.iter().sum()),
+    })
+}
+
+/// The rows of a problem in parts, as a least squares problem. Nothing of a part is kept but its triangle.
+pub struct RowsInParts<'a> {
+    problem: &'a Problem,
+    parts: &'a dyn Parts,
+    start: Vec<f64>,
+    /// The columns of unknowns, then those of what is considered, by their names.
+    columns: BTreeMap<&'a str, usize>,
+}
+
+/// What all parts together tell at a solution.
+pub(crate) struct SolutionOfParts {
+    /// The rows of every set in nominal contact, with columns for what is considered after those of the unknowns.
+    pub of_sets: Vec<Factor>,
+    /// All rows there.
+    pub extended: Factor,
+    pub residuals: ResidualSums,
+}
+
+impl<'a> RowsInParts<'a> {
+    /// The rows of a problem that has the unknowns of all parts, and no rows.
+    pub fn new(problem: &'a Problem, parts: &'a dyn Parts) -> Self {
+        let all = problem.unknowns.iter().chain(&problem.considered.unknowns);
+        let columns = all.enumerate().map(|(column, unknown)| (unknown.name.as_str(), column)).collect();
+        Self { problem, parts, start: problem.start(), columns }
+    }
+
+    /// The problem, which has no rows.
+    pub fn problem(&self) -> &'a Problem {
+        self.problem
+    }
+
+    /// The factor of all rows in nominal contact at nominal geometry, where rank is judged.
+    pub fn at_nominal_geometry(&self) -> Result<Factor> {
+        let count = self.problem.unknowns.len();
+        let all = self.all(AskedOfPart::Start, &self.start)?;
+        self.joined(count, all.iter().map(|evidence| evidence.nominal.as_ref()))
+    }
+
+    pub(crate) fn at_solution(&self, x: &[f64]) -> Result<SolutionOfParts> {
+        let all = self.all(AskedOfPart::Solution, x)?;
+        let count = self.problem.unknowns.len() + self.problem.considered.unknowns.len();
+        let of_set = |index: SetIndex| {
+            let name = &self.problem.sets[index].name;
+            let of_parts = all.iter().map(|part| part.in_contact.iter().find(|(set, _)| set == name));
+            // A part may have no rows of an artefact.
+            self.joined(count, of_parts.flatten().map(|(_, triangle)| Some(triangle)))
+        };
+        let of_sets = self.problem.set_indices().map(of_set).collect::<Result<Vec<Factor>>>()?;
+        let extended = Factor::combined(&of_sets.iter().collect::<Vec<_>>()).ok_or_else(nothing)?;
+        let sums = all.iter().map(|part| part.residuals.as_ref().ok_or_else(nothing));
+        let residuals =
+            sums.collect::<Result<Vec<_>>>()?.into_iter().fold(ResidualSums::default(), |all, own| all.with(own));
+        Ok(SolutionOfParts { of_sets, extended, residuals })
+    }
+
+    fn all(&self, asked: AskedOfPart, at: &[f64]) -> Result<Vec<Arc<PartEvidence>>> {
+        let names = self.problem.unknowns.iter().map(|unknown| unknown.name.clone());
+        let at = names.zip(at.iter().copied()).collect();
+        (0..self.parts.count()).map(|part| self.parts.evidence(part, asked, &at)).collect()
+    }
+
+    /// The factor of all rows that some triangles are of.
+    fn joined<'b>(&self, count: usize, triangles: impl Iterator<Item = Option<&'b Triangle>>) -> Result<Factor> {
+        let (mut accumulator, mut rows) = (Accumulator::new(count, count + 1), 0);
+        for triangle in triangles {
+            let triangle = triangle.ok_or_else(nothing)?;
+            rows += triangle.rows;
+            for line in self.lines(count, triangle)? {
+                accumulator.push(&line[..count], line[count], 1.0);
+            }
+        }
+        Ok(accumulator.finish().of_rows(rows))
+    }
+
+    /// The lines of a triangle with a place for each of the first `count` columns, and the residual.
+    fn lines(&self, count: usize, triangle: &Triangle) -> Result<Vec<Vec<f64>>> {
+        let place = |name: &String| self.columns.get(name.as_str()).copied().filter(|place| *place < count);
+        let places: Option<Vec<usize>> = triangle.columns.iter().map(place).collect();
+        let (places, lines) = places.zip(triangle.lines()).ok_or_else(nothing)?;
+        let wide = |line: Vec<f64>| {
+            let mut all = vec![0.0; count + 1];
+            places.iter().chain([&count]).zip(line).for_each(|(place, value)| all[*place] = value);
+            all
+        };
+        Ok(lines.into_iter().map(wide).collect())
+    }
+}
+
+/// The error for a part that does not answer what it was asked.
+fn nothing() -> Error {
+    Error::data("a part of the rows does not tell what was asked of it")
+}
+
+impl LeastSquares for RowsInParts<'_> {
+    type Error = Error;
+
+    fn is_final(&self, error: &Error) -> bool {
+        error.fatal
+    }
+
+    fn is_out_of_time(&self, error: &Error) -> bool {
+        error.out_of_time
+    }
+
+    fn has_stepped(&self, iteration: usize, size: f64) {
+        self.problem.monitor.iteration(iteration, size);
+    }
+
+    fn unknowns(&self) -> usize {
+        self.problem.unknowns.len()
+    }
+
+    fn rows(&self) -> usize {
+        self.parts.count() * (self.unknowns() + 1)
+    }
+
+    fn linearise(&self, x: &[f64], sink: &mut dyn FnMut(usize, &[f64], &[f64])) -> Result<()> {
+        let asked = if x == self.start { AskedOfPart::Start } else { AskedOfPart::Rows };
+        let (count, mut first) = (self.unknowns(), 0);
+        // All of them: a process that asks others asks all at once.
+        for evidence in self.all(asked, x)? {
+            let triangle = evidence.recorded.as_ref().ok_or_else(nothing)?;
+            for line in self.lines(count, triangle)? {
+                sink(first, &line[count..], &line[..count]);
+                first += 1;
+            }
+        }
+        Ok(())
+    }
+}
