@@ -118,10 +118,15 @@ pub trait Estimate: Send + Sync {
     /// problem has no rows.
     fn estimate(&self, problem: &Problem) -> Result<Calibration>;
 
-    /// Solves a problem whose rows lie in `parts`, none of which has all; `problem` has the unknowns of all of them and no rows. The
-    /// result is that of all rows at once, as far as rounding goes. Default: this estimator needs all rows at once.
-    fn estimate_parts(&self, _problem: &Problem, _parts: &dyn Parts) -> Result<Calibration> {
+    /// Fails if it cannot estimate from rows in parts with its settings. Default: it needs all rows at once.
+    fn accepts_parts(&self) -> Result<()> {
         Err(Error::usage("this estimator needs all rows at once").help("`gauss-newton` estimates from parts"))
+    }
+
+    /// Solves a problem whose rows lie in `parts`, none of which has all; `problem` has the unknowns of all of them and no rows. The
+    /// result is that of all rows at once, as far as rounding goes. Default: as [`accepts_parts`](Self::accepts_parts).
+    fn estimate_parts(&self, _problem: &Problem, _parts: &dyn Parts) -> Result<Calibration> {
+        self.accepts_parts().and(Err(Error::usage("this estimator makes no estimate of parts")))
     }
 
     /// Solves the problem and explains the result: uncertainty budgets, and the combinations that are determined worst.

@@ -13,7 +13,6 @@ use abbe_recipe::Stage;
 use serde::{Deserialize, Serialize};
 
 use crate::evidence;
-use crate::outcome::Failure;
 use crate::plausibility::check_uncertainties;
 use crate::prepare::Prepared;
 use crate::record::{FailureRecord, FileRecord, input_records};
@@ -144,6 +143,7 @@ impl Prepared {
         if let Some(key) = ["start", "known"].into_iter().find(|key| !stage.reference(key).is_empty()) {
             return refused(format!("`{key}` of `{estimate}` names an estimate, and a part knows none"));
         }
+        self.located(stage, self.estimators[&stage.name].accepts_parts())?;
         let mut is_observed = false;
         for name in stage.reference("observations") {
             let (ingest, artefact) = self.artefact(name)?;

@@ -2,8 +2,9 @@
 
 use std::cmp::Ordering;
 
-use abbe_core::{Convergence, Error, Termination};
-use abbe_numerics::{End, Options, Solution};
+use abbe_core::{Convergence, Error, Problem, Termination};
+use abbe_estimation::ill_conditioned;
+use abbe_numerics::{End, Factor, Options, Solution};
 
 /// The error of an iteration that ended somewhere else than at a minimum.
 pub fn not_converged(solution: &Solution, options: &Options) -> Error {
@@ -60,6 +61,17 @@ pub fn not_converged(solution: &Solution, options: &Options) -> Error {
         "check units, signs and features of the data, choose fewer parameters, `start` from a calibration, or allow more `iterations`",
     );
     error.convergence(convergence)
+}
+
+/// The error of a fit that did not converge, with what the data hardly tell before the rest of its help; `factor` is where rank is
+/// judged.
+pub fn ill(problem: &Problem, factor: &Factor, rank_tolerance: f64, error: Error) -> Error {
+    if error.convergence.is_none() {
+        return error;
+    }
+    let Some(remark) = ill_conditioned(problem, factor, rank_tolerance) else { return error };
+    let help = error.help.clone().map_or(remark.clone(), |help| format!("{remark}\nelse {help}"));
+    error.help(help)
 }
 
 /// How many rows robust weights have left out, where that may be why the others determine too little.

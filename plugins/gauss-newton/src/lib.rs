@@ -17,13 +17,13 @@ use abbe_core::{
 };
 use abbe_estimation::{
     EstimatorSolution, Judgement, RankDeficiency, UncertaintyEvaluation, VarianceComponents, Weighted,
-    check_preferences, components, confounded, identifiability, ill_conditioned, in_order_of_preference,
-    rival_wavelengths, separated, wavelengths,
+    check_preferences, components, confounded, identifiability, in_order_of_preference, rival_wavelengths, separated,
+    wavelengths,
 };
 use abbe_numerics::{Directions, End, Factor, LeastSquares, Options, RestrictedProblem, Robust, Solution, solve_from};
 use serde_json::{Value, json};
 
-use convergence::not_converged;
+use convergence::{ill, not_converged};
 use select::{Select, SelectBy, reduced};
 use settings::{OnConfounded, RobustSetting, Settings, Variance};
 
@@ -316,7 +316,9 @@ impl GaussNewton {
         let (problem, factor) = (started.as_ref().unwrap_or(problem), judged.factor());
         let Some(determined) = self.determined(factor) else {
             let at_start = judged.factor_at_start().filter(|_| started.is_none());
-            return self.solve(problem, at_start, None, explained).map_err(|error| self.ill(problem, factor, error));
+            return self
+                .solve(problem, at_start, None, explained)
+                .map_err(|error| ill(problem, factor, self.settings.rank_tolerance, error));
         };
         let found = identifiability(problem, factor, self.settings.rank_tolerance);
         let wanted = explained || self.settings.on_confounded == OnConfounded::Error;
@@ -439,16 +441,6 @@ impl GaussNewton {
         }
         Ok(())
     }
-
-    /// The error of a fit that did not converge, with what the data hardly tell before the rest of its help.
-    fn ill(&self, problem: &Problem, factor: &Factor, error: Error) -> Error {
-        if error.convergence.is_none() {
-            return error;
-        }
-        let Some(remark) = ill_conditioned(problem, factor, self.settings.rank_tolerance) else { return error };
-        let help = error.help.clone().map_or(remark.clone(), |help| format!("{remark}\nelse {help}"));
-        error.help(help)
-    }
 }
 
 impl Estimate for GaussNewton {
@@ -458,6 +450,10 @@ impl Estimate for GaussNewton {
 
     fn explain(&self, problem: &Problem) -> Result<Calibration> {
         self.estimate(problem, true)
+    }
+
+    fn accepts_parts(&self) -> Result<()> {
+        self.check_settings_for_parts()
     }
 
     fn estimate_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Calibration> {

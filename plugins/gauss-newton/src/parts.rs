@@ -31,7 +31,7 @@ impl GaussNewton {
     }
 
     /// Refuses settings that need all residuals at once.
-    fn check_settings_for_parts(&self) -> Result<()> {
+    pub(crate) fn check_settings_for_parts(&self) -> Result<()> {
         let refused = |setting: &str, why: &str| {
             let message = format!("`{setting}` needs all rows at once ({why}), and these rows are in parts");
             Err(Error::usage(message).help("leave it out, or estimate all rows at once: `abbe run`").setting(setting))
