@@ -273,5 +273,7 @@ fn joined(set: &ObservationSet, known: &[Arc<Part>], model: &dyn KinematicModel)
         orientation: set.info().orientation,
         ..ObservationsInfo::new(layout, all.unknowns, contact)
     };
-    Ok(ObservationSet { ids: all.ids, ..ObservationSet::new(&set.name, Arc::new(WithoutRows(info))) })
+    let mut joined = ObservationSet::new(&set.name, Arc::new(WithoutRows(info)));
+    joined.ids = all.ids;
+    Ok(joined)
 }
