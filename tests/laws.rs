@@ -5,7 +5,9 @@ use abbe_core::Calibration;
 use abbe_engine::prepare;
 use serde_json::{Value, json};
 
-use crate::support::{Small, Variant, fit, read, recipes, recipes_without_twins, registry, temporary, values, write};
+use crate::support::{
+    Small, Variant, fit, read, recipes, recipes_without_twins, registry, root, temporary, values, write,
+};
 
 const FITS: [&str; 2] = ["fit-S3", "fit-S4r"];
 const DATA: [&str; 2] = ["exact", "realistic"];
@@ -229,4 +231,61 @@ fn observations_that_compute_nothing_break_a_law() {
     let broken =
         abbe_estimation::laws::check_observations(&problem, abbe_core::SetIndex(0)).expect("the machine has poses");
     assert_eq!(broken, ["no equation depends on a position, an orientation, an unknown or an input"]);
+}
+
+/// An artefact that says of its rows that they are independent.
+struct Dependent(Box<dyn abbe_core::Artefact>);
+
+impl abbe_core::Artefact for Dependent {
+    fn inputs(&self) -> Vec<abbe_core::InputFile> {
+        self.0.inputs()
+    }
+
+    fn check(
+        &self,
+        headers: &[abbe_core::ColumnHeader],
+        file: Option<&std::path::PathBuf>,
+        model: &dyn abbe_core::KinematicModel,
+    ) -> abbe_core::Result<()> {
+        self.0.check(headers, file, model)
+    }
+
+    fn observe(
+        &self,
+        data: &std::sync::Arc<abbe_core::Dataset>,
+        model: &dyn abbe_core::KinematicModel,
+    ) -> abbe_core::Result<std::sync::Arc<dyn abbe_core::Observations>> {
+        self.0.observe(data, model)
+    }
+
+    fn rows_are_independent(&self) -> bool {
+        true
+    }
+
+    fn targets(&self, stylus_radius: f64) -> abbe_core::Result<Vec<abbe_core::Target>> {
+        self.0.targets(stylus_radius)
+    }
+}
+
+#[test]
+fn rows_that_depend_on_each_other_break_a_law() {
+    let registry = registry();
+    let broken = |recipe: &str, plugin: &str, settings: Value| {
+        let outcome = Variant::of(&recipes()[recipe]).run();
+        let problem = &outcome.fits[0].problem;
+        let plugin = registry.find(abbe_core::Kind::Artefact, plugin).expect("a plugin");
+        let abbe_core::Build::Artefact(build) = &plugin.build else { panic!("no artefact") };
+        let artefact = build.build(&settings, &abbe_core::Context { base: root() });
+        let artefact = Dependent(artefact.unwrap_or_else(|error| panic!("{error:?}")));
+        let data = &problem.sets[0].info().layout.data;
+        abbe_estimation::laws::check_independence(&artefact, data, problem.model.as_ref())
+            .expect("the machine has poses")
+    };
+    let nominal = "pipelines/data/tango-hu40t/realistic/facets.csv";
+    let settings = json!({ "nominal": nominal, "standard_uncertainty_um": 1.6 });
+    let none: [&str; 0] = [];
+    assert_eq!(broken("first-steps", "facets", settings), none);
+    // Where the tracker stands is first found from all positions.
+    let broken = broken("robot-ur5", "positions", json!({ "standard_uncertainty_um": 30.0 }));
+    assert!(broken.iter().any(|law| law.contains("starts elsewhere")), "{broken:?}");
 }

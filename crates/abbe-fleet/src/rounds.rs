@@ -89,7 +89,11 @@ fn asked_again(
         rounds.open.push(of);
         return Ok(shards);
     }
-    points.insert(of.clone(), at);
+    // At the start every shard knows the values itself.
+    match asked {
+        AskedOfPart::Start => drop(points.remove(&of)),
+        _ => drop(points.insert(of.clone(), at)),
+    }
     let Estimate { texts, .. } = estimate;
     for (job, text) in shards.iter_mut().zip(&texts) {
         let Some(shard) = &mut job.shard else { continue };
