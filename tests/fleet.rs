@@ -1,7 +1,7 @@
 //! Fleets: whatever happens to jobs, the merged results are those of one process, and the values are those of single runs.
 
 pub(crate) mod plant;
-mod shards;
+pub(crate) mod shards;
 mod trials;
 mod wrong;
 

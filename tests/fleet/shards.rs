@@ -58,6 +58,18 @@ fn fleet(at: &Path, estimate: &str, from: &str, files: usize) {
     write(&at.join("fleet.yaml"), &text);
 }
 
+/// Adds an estimate in five shards to the fleet of a plant.
+pub(crate) fn added(at: &Path, random: &mut Random) {
+    let (name, estimate, from) = ESTIMATES[0];
+    dealt_out(&at.join("survey"), of_parts(name, estimate), from, 5, random);
+    let fleet = at.join("fleet.yaml");
+    let shards = format!("{{ stage: {estimate}, from: {from}, files: 1 }}");
+    let family = format!(
+        "  survey:\n    recipe: survey/recipe.yaml\n    shards: {shards}\n    machine: big\n    at: 1\n    unit: week\n"
+    );
+    write(&fleet, &(read(&fleet) + &family));
+}
+
 fn calibration(path: &Path) -> Calibration {
     Calibration::from_json(&read(path)).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }

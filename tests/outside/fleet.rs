@@ -12,7 +12,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use crate::fleet::plant::{Plant, bounded, ok, quiet, start};
-use crate::fleet::{merged, same};
+use crate::fleet::{merged, same, shards};
 use crate::support::{Random, root, temporary, tree};
 use processes::{descendants, kill, name_of};
 
@@ -37,12 +37,14 @@ fn survives(
     let plant = Plant { weeks: (1..=4).collect(), ..Plant::of(10) };
     let one = temporary();
     plant.write(one.path());
+    shards::added(one.path(), &mut Random::new(seed));
     ok(&quiet(one.path(), &["fleet", "plan", "fleet.yaml"]));
     ok(&quiet(one.path(), &["fleet", "run", "fleet.manifest.jsonl", "--workers", "1"]));
     let expected = merged(one.path());
 
     let folder = temporary();
     plant.write(folder.path());
+    shards::added(folder.path(), &mut Random::new(seed));
     ok(&quiet(folder.path(), &["fleet", "plan", "fleet.yaml"]));
     let place = folder.path().display().to_string();
     let mut process = wrapper(folder.path()).spawn().expect("the wrapper starts");
