@@ -39,9 +39,12 @@ pub fn part_evidence(problem: &Problem, asked: AskedOfPart, at: &[f64]) -> Resul
             let mut extended = rank_point(problem, at)?.with_values(at);
             extended.unknowns.extend(problem.considered.unknowns.iter().cloned());
             let columns = names(&extended.unknowns);
-            let factors = Weighted::new(&extended)?.factors(&extended.start(), None, &problem.equation_ranges())?;
-            let sets = problem.sets.iter().map(|set| set.name.clone());
-            let in_contact = sets.zip(factors.iter().map(|factor| triangle(&columns, factor))).collect();
+            // A part need not have rows of every artefact.
+            let (sets, ranges): (Vec<_>, Vec<_>) =
+                problem.sets.iter().zip(problem.equation_ranges()).filter(|(_, range)| range.len() > 0).unzip();
+            let factors = Weighted::new(&extended)?.factors(&extended.start(), None, &ranges)?;
+            let factors = factors.iter().map(|factor| triangle(&columns, factor));
+            let in_contact = sets.iter().map(|set| set.name.clone()).zip(factors).collect();
             let residuals = Some(residual_sums(problem, at)?);
             Ok(PartEvidence { in_contact, residuals, ..PartEvidence::default() })
         }

@@ -4,7 +4,8 @@
 //!
 //! 1. `check` and `run` agree on what the data determine;
 //! 2. no parameter without effect on the measurements is called estimated: the effect is told by differences, far from zero;
-//! 3. no value that is called estimated is off by more than ten of its standard uncertainties.
+//! 3. an estimate from parts of the rows is that of all rows;
+//! 4. no value that is called estimated is off by more than ten of its standard uncertainties.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -14,6 +15,7 @@ use std::path::Path;
 use abbe_core::{Fit, Monitor, Owner, Problem, Registry, Status, Unknown, in_parallel};
 use abbe_engine::prepare;
 use abbe_estimation::at_contact;
+use abbe_estimation::laws::check_parts;
 use serde_json::{Value, json};
 
 use crate::Random;
@@ -226,6 +228,9 @@ fn judge(folder: &Path, registry: &Registry, wanted: &Wanted, kind: String) -> (
         broken.push(format!("check says rank {}, run {}", found.rank, fit.calibration.fit.rank));
     }
     broken.extend(without_effect(fit));
+    // Two to five parts, by the number of rows.
+    let of_parts = check_parts(fit.estimator.as_ref(), &fit.problem, 2 + fit.problem.equations() % 4);
+    broken.extend(of_parts.unwrap_or_else(|error| vec![format!("all rows again: {error}")]));
     let (wrong, off) = beyond(fit, wanted);
     broken.extend(wrong);
     let marked = fit.calibration.parameters.iter().any(|parameter| parameter.status == Status::Confounded);

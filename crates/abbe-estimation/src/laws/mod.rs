@@ -5,6 +5,7 @@
 //! - [`check_observations`]: derivatives of equations agree with difference quotients; rows do not depend on other rows of their
 //!   batch, nor on their order; names are unique.
 //! - [`check_independence`]: an artefact that says that its rows are independent makes the same of some rows as of all.
+//! - [`check_parts`]: an estimator that takes rows in parts makes of them what it makes of all rows.
 //! - [`check_estimator`]: the given errors are found again from exact data, for any order of rows, origin of the machine and
 //!   position of the artefact; a second run gives the same bytes; uncertainties are those of the covariance.
 //!
@@ -15,12 +16,14 @@ mod estimator;
 mod independence;
 mod model;
 mod observations;
+mod parts;
 mod virtual_machine;
 
 pub use estimator::{check_estimate, check_estimator, largest_derivatives};
 pub use independence::check_independence;
 pub use model::{check_model, check_model_within, samples};
 pub use observations::check_observations;
+pub use parts::check_parts;
 pub use virtual_machine::virtual_problem;
 
 use abbe_core::Parameter;
