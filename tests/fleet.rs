@@ -26,8 +26,11 @@ pub(crate) fn merged(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 /// The content of what is merged, by names.
 pub(crate) fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let at = folder.join("fleet.merged");
-    let mut found: BTreeMap<PathBuf, Vec<u8>> =
-        tree(&at).into_iter().map(|name| (name.clone(), fs::read(at.join(&name)).expect("a file"))).collect();
+    let mut found: BTreeMap<PathBuf, Vec<u8>> = tree(&at)
+        .into_iter()
+        .filter(|name| !name.ends_with("written.jsonl"))
+        .map(|name| (name.clone(), fs::read(at.join(&name)).expect("a file")))
+        .collect();
     if let Ok(history) = fs::read(folder.join("plant.sqlite")) {
         found.insert("plant.sqlite".into(), history);
     }

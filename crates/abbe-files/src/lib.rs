@@ -62,7 +62,9 @@ pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
 pub fn why(error: &io::Error) -> String {
     match error.kind() {
         io::ErrorKind::StorageFull => "the disk is full".to_owned(),
-        io::ErrorKind::FileTooLarge => "it would be larger than files may be here (`ulimit -f`)".to_owned(),
+        io::ErrorKind::FileTooLarge if error.raw_os_error().is_some() => {
+            "it would be larger than files may be here (`ulimit -f`)".to_owned()
+        }
         io::ErrorKind::QuotaExceeded => "the quota of the disk is used up".to_owned(),
         _ => error.to_string(),
     }

@@ -13,6 +13,7 @@ mod fleet;
 mod hash;
 mod manifest;
 mod merge;
+mod own_files;
 mod plan;
 mod rounds;
 mod status;

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, BufWriter, Write};
+use std::io::{self, BufRead, BufReader, BufWriter, Read, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -138,6 +138,7 @@ pub struct Shard {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Job {
     /// Hash of all that its result depends on: 64 hexadecimal digits.
+    #[serde(deserialize_with = "hash_of_job")]
     pub job: String,
     /// Its name, for people.
     pub name: String,
@@ -162,6 +163,16 @@ pub struct Job {
     /// Why it cannot be done at all.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refused: Option<String>,
+}
+
+/// A hash, which names a file: anything else could lead anywhere.
+fn hash_of_job<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
+    let text = String::deserialize(deserializer)?;
+    let is_digit = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
+    match text.len() == 64 && text.bytes().all(is_digit) {
+        true => Ok(text),
+        false => Err(serde::de::Error::custom("the hash of a job has 64 hexadecimal digits")),
+    }
 }
 
 impl Job {
@@ -193,12 +204,13 @@ impl Manifest {
         fleet.with_file_name(format!("{stem}{ENDING}"))
     }
 
-    /// Writes a manifest, whole or not at all.
+    /// Writes a manifest, whole or not at all, where there is nothing or another manifest.
     ///
     /// # Errors
-    /// If the disk does not take it.
+    /// If something else is there, and if the disk does not take it.
     pub fn write(path: &Path, head: Head, jobs: &[Job]) -> Result<Self> {
         let failed = |error: &io::Error| unwritable(path, error);
+        is_free(path)?;
         let path = whole(path)?;
         let folder = path.parent().unwrap_or(Path::new("/"));
         let written = (|| -> io::Result<()> {
@@ -293,6 +305,26 @@ impl Manifest {
         })
     }
 }
+
+/// Fails if something is at a place that is no manifest.
+fn is_free(path: &Path) -> Result<()> {
+    let is_manifest = || {
+        let mut line = Vec::new();
+        let file = abbe_files::open(path).ok()?;
+        BufReader::new(file).take(LONGEST_HEAD).read_until(b'\n', &mut line).ok()?;
+        let head: Value = serde_json::from_slice(&line).ok()?;
+        head.get(FORMAT.key).map(drop)
+    };
+    let nothing = path.symlink_metadata().is_err();
+    if nothing || (!path.is_symlink() && is_manifest().is_some()) {
+        return Ok(());
+    }
+    let error = Error::data("something is there already that is no manifest of a fleet").in_file(path);
+    Err(error.help("move it away, or name another file: `--out`"))
+}
+
+/// Bytes of the longest first line: points of shards have a number for each unknown.
+const LONGEST_HEAD: u64 = 64 << 20;
 
 /// The whole path of a file, which may not be there yet.
 fn whole(path: &Path) -> Result<PathBuf> {

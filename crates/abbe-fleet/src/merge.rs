@@ -12,6 +12,7 @@ use abbe_history::{Entry, Stored};
 use serde_json::{Value, json};
 
 use crate::manifest::{Job, Kept, Manifest, VERSION};
+use crate::own_files::OwnFiles;
 use crate::rounds::{Answer, Estimate};
 use crate::store::Store;
 use crate::table::{Cell, Column, Table};
@@ -63,21 +64,28 @@ pub fn merge(
         store: manifest.store(),
         tables: Tables::new(out)?,
         keeper: manifest.head.history.as_deref().map(Keeper::open).transpose()?,
+        own: OwnFiles::of(out)?,
         out: out.to_owned(),
         files,
         names: Names::default(),
         merged: Merged::default(),
     };
+    merging.tables.check(&merging.own)?;
     manifest.each_job(0..manifest.head.jobs, |_, job| match (&job.trials, families[job.family], &job.shard) {
         (Some(_), Some(stage), _) => merging.block(&mut last, job, stage, registries),
         (_, _, Some(_)) => merging.shard(&mut shards, job, partial, registries),
         _ => merging.job(&job),
     })?;
-    let Merging { tables, keeper, merged, .. } = merging;
+    let Merging { tables, keeper, merged, mut own, .. } = merging;
+    if !partial && merged.open > 0 {
+        // A result that is damaged is none.
+        return Err(still_open(manifest, merged.open, None));
+    }
     if let Some(keeper) = keeper {
         keeper.finish()?;
     }
-    tables.finish()?;
+    tables.finish(&mut own)?;
+    own.finish()?;
     Ok(merged)
 }
 
@@ -94,9 +102,13 @@ fn none_open(manifest: &Manifest) -> Result<()> {
         }
         Ok(())
     })?;
-    let Some(first) = first else { return Ok(()) };
-    let message = format!("{open} of {} jobs are open, the first is `{first}`", manifest.head.jobs);
-    Err(Error::data(message).help("do them: `abbe fleet run`; or merge what is there: `--partial`"))
+    if first.is_some() { Err(still_open(manifest, open, first)) } else { Ok(()) }
+}
+
+fn still_open(manifest: &Manifest, open: usize, first: Option<String>) -> Error {
+    let first = first.map_or_else(String::new, |first| format!(", the first is `{first}`"));
+    let message = format!("{open} of {} jobs are open{first}", manifest.head.jobs);
+    Error::data(message).help("do them: `abbe fleet run`; or merge what is there: `--partial`")
 }
 
 /// The tables of a fleet.
@@ -154,8 +166,13 @@ impl Tables {
         })
     }
 
-    fn finish(self) -> Result<()> {
-        [self.jobs, self.parameters, self.verdicts, self.distributions].into_iter().try_for_each(Table::finish)
+    fn check(&self, own: &OwnFiles) -> Result<()> {
+        [&self.jobs, &self.parameters, &self.verdicts, &self.distributions].into_iter().try_for_each(|it| it.check(own))
+    }
+
+    fn finish(self, own: &mut OwnFiles) -> Result<()> {
+        let mut all = [self.jobs, self.parameters, self.verdicts, self.distributions].into_iter();
+        all.try_for_each(|table| table.finish(own))
     }
 }
 
@@ -165,6 +182,7 @@ struct Merging<'a> {
     store: Store,
     tables: Tables,
     keeper: Option<Keeper>,
+    own: OwnFiles,
     out: PathBuf,
     files: bool,
     names: Names,
@@ -380,9 +398,9 @@ impl Merging<'_> {
             let mut file = abbe_engine::temporary_file(&folder)?;
             let text = calibration.to_json().map_err(|error| std::io::Error::other(error.message))?;
             std::io::Write::write_all(&mut file, text.as_bytes())?;
-            file.persist(&path).map(drop).map_err(|error| error.error)
+            Ok(file)
         });
-        written.map_err(|error| unwritable(&path, &error))
+        self.own.put(written.map_err(|error| unwritable(&path, &error))?, &path)
     }
 }
 

@@ -7,6 +7,7 @@ use abbe_core::{Error, Result};
 use abbe_engine::temporary_file;
 use serde_json::Value;
 
+use crate::own_files::OwnFiles;
 use crate::unwritable;
 
 #[cfg(feature = "parquet")]
@@ -84,21 +85,28 @@ impl Table {
         self.csv.write_record(None::<&[u8]>).map_err(|error| failed(&self.path, error))
     }
 
+    /// Fails if a file of somebody is at its place.
+    pub fn check(&self, own: &OwnFiles) -> Result<()> {
+        #[cfg(feature = "parquet")]
+        own.check(&self.path.with_extension("parquet"))?;
+        own.check(&self.path)
+    }
+
     /// Puts the table at its place.
     ///
     /// # Errors
-    /// If the disk does not take it.
-    pub fn finish(self) -> Result<()> {
+    /// If the disk does not take it, or a file of somebody is there.
+    pub fn finish(self, own: &mut OwnFiles) -> Result<()> {
         let Self { path, csv, .. } = self;
         let written = (|| {
             let buffer = csv.into_inner().map_err(|error| error.into_error())?;
             let mut file = buffer.into_inner().map_err(|error| error.into_error())?;
             file.flush()?;
-            file.persist(&path).map(drop).map_err(|error| error.error)
+            Ok(file)
         })();
-        written.map_err(|error: io::Error| unwritable(&path, &error))?;
+        own.put(written.map_err(|error: io::Error| unwritable(&path, &error))?, &path)?;
         #[cfg(feature = "parquet")]
-        self.columnar.finish()?;
+        self.columnar.finish(own)?;
         Ok(())
     }
 }

@@ -12,6 +12,7 @@ use parquet::basic::{Compression, ZstdLevel};
 use parquet::file::properties::WriterProperties;
 
 use super::{Cell, Column};
+use crate::own_files::OwnFiles;
 use crate::unwritable;
 
 /// Rows of a group.
@@ -80,12 +81,12 @@ impl Columnar {
         written.map_err(|why| failed(&self.path, &why))
     }
 
-    pub fn finish(mut self) -> Result<()> {
+    pub fn finish(mut self, own: &mut OwnFiles) -> Result<()> {
         if self.rows > 0 {
             self.write()?;
         }
         let file = self.writer.into_inner().map_err(|why| failed(&self.path, &why))?;
-        file.persist(&self.path).map(drop).map_err(|error| unwritable(&self.path, &error.error))
+        own.put(file, &self.path)
     }
 }
 

@@ -1,0 +1,153 @@
+//! The files of merges in their folder: a merge replaces what an earlier one wrote, as long as nobody has changed it since.
+
+use std::collections::BTreeSet;
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use abbe_core::{Error, Result};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use crate::hash::sha256_of;
+use crate::unwritable;
+
+/// The record of what was written: a line for each file.
+pub const RECORD: &str = "written.jsonl";
+
+/// A file that a merge wrote.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+struct Written {
+    /// Its name in the folder, with `/`.
+    file: String,
+    /// Hash of its content.
+    sha256: String,
+}
+
+/// The files of merges in a folder.
+pub struct OwnFiles {
+    folder: PathBuf,
+    known: BTreeSet<Written>,
+    now: BTreeSet<Written>,
+    record: File,
+}
+
+impl OwnFiles {
+    /// What earlier merges wrote into a folder, which is there.
+    ///
+    /// # Errors
+    /// If something that is no record of a merge has its name, and if the disk does not take more of it.
+    pub fn of(folder: &Path) -> Result<Self> {
+        let path = folder.join(RECORD);
+        let text = match abbe_files::read_text(&path, abbe_files::LARGEST_RESULT) {
+            Ok(text) => text,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => String::new(),
+            Err(error) => return Err(unwritable(&path, &error)),
+        };
+        // The last line of a merge that was killed may be cut off.
+        let lines: Vec<&str> = text.split_inclusive('\n').filter(|line| line.ends_with('\n')).collect();
+        let read = |line: &&str| serde_json::from_str(line).ok();
+        let known: Option<BTreeSet<Written>> = lines.iter().map(read).collect();
+        let known = known.filter(|known| !known.is_empty() || text.is_empty()).ok_or_else(|| of_somebody(&path))?;
+        let whole: usize = lines.iter().map(|line| line.len()).sum();
+        let opened = File::options().create(true).append(true).open(&path);
+        let record = opened.and_then(|record| record.set_len(whole as u64).map(|()| record));
+        let record = record.map_err(|error| unwritable(&path, &error))?;
+        Ok(Self { folder: folder.to_owned(), known, now: BTreeSet::new(), record })
+    }
+
+    /// Fails if something is at a place in the folder that no merge wrote, or that was changed since.
+    pub fn check(&self, path: &Path) -> Result<()> {
+        if path.symlink_metadata().is_err() {
+            return Ok(());
+        }
+        let is_file = path.symlink_metadata().is_ok_and(|found| found.is_file());
+        let written = sha256_of(path).ok().map(|sha256| Written { file: self.name(path), sha256 });
+        let is_own = is_file && written.is_some_and(|own| self.known.contains(&own) || self.now.contains(&own));
+        if is_own { Ok(()) } else { Err(of_somebody(path)) }
+    }
+
+    /// Puts a file at its place in the folder.
+    ///
+    /// # Errors
+    /// As [`OwnFiles::check`]; and if the disk does not take it.
+    pub fn put(&mut self, file: tempfile::NamedTempFile, path: &Path) -> Result<()> {
+        self.check(path)?;
+        let mut write = || -> io::Result<Written> {
+            let own = Written { file: self.name(path), sha256: sha256_of(file.path())? };
+            // Before it is there: a merge that is killed leaves no file that the next one does not know.
+            self.record.write_all((json!(own).to_string() + "\n").as_bytes())?;
+            file.persist(path).map_err(|error| error.error)?;
+            Ok(own)
+        };
+        let own = write().map_err(|error| unwritable(path, &error))?;
+        self.now.insert(own);
+        Ok(())
+    }
+
+    /// Writes the record anew: what this merge wrote, and files of earlier ones that are still there.
+    ///
+    /// # Errors
+    /// If the disk does not take it.
+    pub fn finish(self) -> Result<()> {
+        let path = self.folder.join(RECORD);
+        let names: BTreeSet<&String> = self.now.iter().map(|own| &own.file).collect();
+        let is_there = |own: &&Written| !names.contains(&own.file) && self.folder.join(&own.file).exists();
+        let all: BTreeSet<&Written> = self.known.iter().filter(is_there).chain(&self.now).collect();
+        let lines: String = all.into_iter().map(|own| json!(own).to_string() + "\n").collect();
+        let written = abbe_engine::temporary_file(&self.folder).and_then(|mut file| {
+            file.write_all(lines.as_bytes())?;
+            file.persist(&path).map(drop).map_err(|error| error.error)
+        });
+        written.map_err(|error| unwritable(&path, &error))
+    }
+
+    fn name(&self, path: &Path) -> String {
+        let own = path.strip_prefix(&self.folder).unwrap_or(path);
+        own.components().map(|part| part.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/")
+    }
+}
+
+fn of_somebody(path: &Path) -> Error {
+    Error::data("the file is there already, and no merge wrote it, or it was changed since")
+        .help("move it away, or name another folder: `--out`")
+        .in_file(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn put(folder: &Path, own: &mut OwnFiles, name: &str, content: &str) -> Result<()> {
+        let mut file = abbe_engine::temporary_file(folder).unwrap();
+        file.write_all(content.as_bytes()).unwrap();
+        own.put(file, &folder.join(name))
+    }
+
+    #[test]
+    fn only_own_files_are_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = folder.path();
+        fs::write(at.join("mine.csv"), "mine").unwrap();
+        let mut own = OwnFiles::of(at).unwrap();
+        put(at, &mut own, "a.csv", "1").unwrap();
+        put(at, &mut own, "a.csv", "2").unwrap();
+        put(at, &mut own, "b.csv", "1").unwrap();
+        assert!(put(at, &mut own, "mine.csv", "2").is_err());
+        // Killed here: what was written is known all the same.
+        drop(own);
+        let mut own = OwnFiles::of(at).unwrap();
+        put(at, &mut own, "a.csv", "3").unwrap();
+        own.finish().unwrap();
+        let mut own = OwnFiles::of(at).unwrap();
+        fs::write(at.join("a.csv"), "3, and more").unwrap();
+        assert!(put(at, &mut own, "a.csv", "4").is_err());
+        put(at, &mut own, "b.csv", "4").unwrap();
+        own.finish().unwrap();
+        assert_eq!(fs::read_to_string(at.join("mine.csv")).unwrap(), "mine");
+        assert_eq!(fs::read_to_string(at.join("a.csv")).unwrap(), "3, and more");
+        // A record of somebody else is none.
+        fs::write(at.join(RECORD), "{\"file\": 1}\n").unwrap();
+        assert!(OwnFiles::of(at).is_err());
+    }
+}
