@@ -252,3 +252,70 @@ fn mistakes_in_a_fleet_have_their_places() {
     let printed = quiet(at, &["fleet", "run", "fleet.manifest.jsonl", "--retries", "0"]);
     assert!(printed.status == 1 && printed.stdout.contains("is not the one that was planned"), "{}", printed.stdout);
 }
+
+/// Files that somebody has where a fleet would write stay; a damaged result is open, and a job names no place outside.
+#[test]
+fn files_of_others_stay() {
+    let folder = temporary();
+    let at = folder.path();
+    let plant = Plant::of(3);
+    plant.write(at);
+    let recipe = read(&at.join("recipe.yaml"));
+    for file in ["recipe.yaml", "fleet.yaml", "machines.csv"] {
+        let before = read(&at.join(file));
+        let printed = quiet(at, &["fleet", "plan", "fleet.yaml", "--out", file]);
+        assert!(printed.status == 1 && printed.stderr.contains("no manifest"), "{file}: {}", printed.stderr);
+        assert_eq!(read(&at.join(file)), before);
+    }
+    #[cfg(unix)]
+    {
+        let link = at.join("fleet.manifest.jsonl");
+        std::os::unix::fs::symlink("recipe.yaml", &link).expect("a link");
+        assert_eq!(quiet(at, &["fleet", "plan", "fleet.yaml"]).status, 1);
+        assert_eq!(read(&at.join("recipe.yaml")), recipe);
+        fs::remove_file(&link).expect("it goes");
+    }
+    ok(&quiet(at, &["fleet", "plan", "fleet.yaml"]));
+    // A manifest takes the place of another one.
+    ok(&quiet(at, &["fleet", "plan", "fleet.yaml"]));
+    ok(&quiet(at, &["fleet", "run", "fleet.manifest.jsonl", "--workers", "1"]));
+    write(&at.join("tables/parameters.csv"), "mine");
+    let merge = ["fleet", "merge", "fleet.manifest.jsonl", "--calibrations", "--out", "tables"];
+    let printed = quiet(at, &merge);
+    assert!(printed.status == 1 && printed.stderr.contains("no merge wrote it"), "{}", printed.stderr);
+    assert_eq!(crate::support::tree(&at.join("tables")), [Path::new("parameters.csv")]);
+    assert_eq!(read(&at.join("tables/parameters.csv")), "mine");
+    fs::remove_file(at.join("tables/parameters.csv")).expect("it goes");
+    ok(&quiet(at, &merge));
+    ok(&quiet(at, &merge));
+    let table = read(&at.join("tables/parameters.csv"));
+    let calibration = at.join("tables/calibrations").join("weekly-m00001-1.fit.calibration.json");
+    let own = read(&calibration).replacen("\"value\"", "\"value\" ", 1);
+    write(&calibration, &own);
+    assert_eq!(quiet(at, &merge).status, 1);
+    assert_eq!((read(&calibration), read(&at.join("tables/parameters.csv"))), (own, table.clone()));
+    fs::remove_file(&calibration).expect("it goes");
+    // A damaged result.
+    let store = at.join("fleet.results");
+    let results = || {
+        let files = crate::support::tree(&store).into_iter();
+        files.filter(|name| name.extension() == Some("result".as_ref())).collect::<Vec<_>>()
+    };
+    let first = store.join(&results()[0]);
+    let content = fs::read(&first).expect("a result");
+    fs::write(&first, &content[..content.len() - 100]).expect("it is cut off");
+    let printed = quiet(at, &merge);
+    assert!(printed.status == 1 && printed.stderr.contains("1 of 3 jobs are open"), "{}", printed.stderr);
+    assert_eq!(read(&at.join("tables/parameters.csv")), table);
+    // A line that leads elsewhere.
+    let manifest = at.join("fleet.manifest.jsonl");
+    let id = super::plant::lines(&manifest)[1]["job"].as_str().expect("a hash").to_owned();
+    write(&manifest, &read(&manifest).replace(&id, "../../evil"));
+    for command in [&["fleet", "run", "fleet.manifest.jsonl"][..], &["fleet", "status", "fleet.manifest.jsonl"]] {
+        let printed = quiet(at, command);
+        assert!(printed.status == 1, "{}{}", printed.stdout, printed.stderr);
+    }
+    let outside = fs::read_dir(at).expect("a folder").flatten().map(|entry| entry.file_name());
+    assert!(outside.into_iter().all(|name| !name.to_string_lossy().contains("evil")));
+}
+

@@ -10,6 +10,11 @@ pub fn sha256(content: &[u8]) -> String {
     hexadecimal(Sha256::digest(content).as_slice())
 }
 
+/// Whether a text is such a hash.
+pub fn is_sha256(text: &str) -> bool {
+    text.len() == 64 && text.bytes().all(|byte| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte))
+}
+
 /// SHA-256 of the content of a file.
 pub fn sha256_of(file: &Path) -> io::Result<String> {
     let mut reader = abbe_files::open(file)?;

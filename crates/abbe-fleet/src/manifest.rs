@@ -12,7 +12,7 @@ use abbe_engine::{FileRecord, temporary_file};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::hash::sha256;
+use crate::hash::{is_sha256, sha256};
 use crate::store::{RESULT_FORMAT, Store};
 use crate::text::Variables;
 use crate::{unreadable, unwritable};
@@ -168,8 +168,7 @@ pub struct Job {
 /// A hash, which names a file: anything else could lead anywhere.
 fn hash_of_job<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
     let text = String::deserialize(deserializer)?;
-    let is_digit = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
-    match text.len() == 64 && text.bytes().all(is_digit) {
+    match is_sha256(&text) {
         true => Ok(text),
         false => Err(serde::de::Error::custom("the hash of a job has 64 hexadecimal digits")),
     }

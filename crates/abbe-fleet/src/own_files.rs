@@ -29,7 +29,7 @@ pub struct OwnFiles {
     folder: PathBuf,
     known: BTreeSet<Written>,
     now: BTreeSet<Written>,
-    record: File,
+    record: Option<File>,
 }
 
 impl OwnFiles {
@@ -44,16 +44,24 @@ impl OwnFiles {
             Err(error) if error.kind() == io::ErrorKind::NotFound => String::new(),
             Err(error) => return Err(unwritable(&path, &error)),
         };
-        // The last line of a merge that was killed may be cut off.
-        let lines: Vec<&str> = text.split_inclusive('\n').filter(|line| line.ends_with('\n')).collect();
-        let read = |line: &&str| serde_json::from_str(line).ok();
-        let known: Option<BTreeSet<Written>> = lines.iter().map(read).collect();
-        let known = known.filter(|known| !known.is_empty() || text.is_empty()).ok_or_else(|| of_somebody(&path))?;
-        let whole: usize = lines.iter().map(|line| line.len()).sum();
-        let opened = File::options().create(true).append(true).open(&path);
-        let record = opened.and_then(|record| record.set_len(whole as u64).map(|()| record));
-        let record = record.map_err(|error| unwritable(&path, &error))?;
-        Ok(Self { folder: folder.to_owned(), known, now: BTreeSet::new(), record })
+        // A merge that was killed may have left a part of a line.
+        let known: BTreeSet<Written> = text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
+        if known.is_empty() && !text.trim().is_empty() {
+            return Err(of_somebody(&path));
+        }
+        Ok(Self { folder: folder.to_owned(), known, now: BTreeSet::new(), record: None })
+    }
+
+    /// The record, to which lines are added; what a killed merge has left of a line is closed.
+    fn record(&mut self) -> io::Result<&mut File> {
+        if self.record.is_none() {
+            let mut record = File::options().create(true).append(true).open(self.folder.join(RECORD))?;
+            if record.metadata()?.len() > 0 {
+                record.write_all(b"\n")?;
+            }
+            self.record = Some(record);
+        }
+        self.record.as_mut().ok_or_else(|| io::Error::other("the record is not open"))
     }
 
     /// Fails if something is at a place in the folder that no merge wrote, or that was changed since.
@@ -73,14 +81,14 @@ impl OwnFiles {
     /// As [`OwnFiles::check`]; and if the disk does not take it.
     pub fn put(&mut self, file: tempfile::NamedTempFile, path: &Path) -> Result<()> {
         self.check(path)?;
-        let mut write = || -> io::Result<Written> {
-            let own = Written { file: self.name(path), sha256: sha256_of(file.path())? };
+        let write = |record: &mut Self| -> io::Result<Written> {
+            let own = Written { file: record.name(path), sha256: sha256_of(file.path())? };
             // Before it is there: a merge that is killed leaves no file that the next one does not know.
-            self.record.write_all((json!(own).to_string() + "\n").as_bytes())?;
+            record.record()?.write_all((json!(own).to_string() + "\n").as_bytes())?;
             file.persist(path).map_err(|error| error.error)?;
             Ok(own)
         };
-        let own = write().map_err(|error| unwritable(path, &error))?;
+        let own = write(self).map_err(|error| unwritable(path, &error))?;
         self.now.insert(own);
         Ok(())
     }

@@ -11,7 +11,7 @@ use abbe_core::{Error, Result};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use crate::hash::sha256;
+use crate::hash::{is_sha256, sha256};
 use crate::unwritable;
 
 /// The number of the format of results.
@@ -54,6 +54,8 @@ impl Store {
 
     /// The file of a result. 256 folders share them: a folder with a million files is slow on many disks.
     pub fn result_file(&self, job: &str) -> PathBuf {
+        // What is no hash names no place.
+        let job = if is_sha256(job) { job } else { &sha256(job.as_bytes()) };
         self.folder.join(job.get(..2).unwrap_or("00")).join(format!("{job}.result"))
     }
 

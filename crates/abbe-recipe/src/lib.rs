@@ -435,6 +435,13 @@ impl<'a> Head<'a> {
                 return Err(node.error(At::Key, message));
             }
         } else if kind == Kind::Estimate && self.node.get("parameters").is_none() {
+            let keys = self.node.map()?;
+            if let Some(near) = nearest("parameters", keys.iter().map(|(key, _)| *key))
+                && let Some((_, node)) = keys.iter().find(|(key, _)| *key == near)
+            {
+                let message = format!("`{near}` is no setting of an estimate, and `parameters` is missing");
+                return Err(node.error(At::Key, message).help("did you mean `parameters`?"));
+            }
             let error = self.node.error(At::Key, "the setting `parameters` is missing: what is to be estimated?");
             return Err(error.help("`parameters: []` takes the machine as it is"));
         }
