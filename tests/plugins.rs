@@ -21,10 +21,10 @@ fn every_plugin_can_be_built_from_its_example() {
         let without_notes = [wanted[0], wanted[1], wanted[3]];
         assert!(headings == wanted || headings == without_notes, "{what}: its reference has {headings:?}");
         let (schema, example) = (plugin.schema.get(), plugin.example.get());
-        valid(&what, &schema, &example);
-        let refuse = jsonschema::validator_for(&schema).expect("a schema");
+        valid(&what, schema, example);
+        let refuse = jsonschema::validator_for(schema).expect("a schema");
         assert!(!refuse.is_valid(&Value::from(1)), "{what}: the schema takes anything");
-        let settings = &example;
+        let settings = example;
         let built = match &plugin.build {
             Build::Ingest(constructor) => constructor.build(settings, &context).map(drop),
             Build::Artefact(constructor) => constructor.build(settings, &context).map(drop),
@@ -47,9 +47,9 @@ fn every_plugin_refuses_a_setting_that_it_does_not_know() {
     let context = Context { base: PathBuf::new() };
     for plugin in registry.iter() {
         let what = format!("{} {}", plugin.kind(), plugin.name);
-        let mut settings = plugin.example.get();
+        let mut settings = plugin.example.get().clone();
         settings["frobnicate"] = Value::from(1);
-        assert!(!jsonschema::is_valid(&plugin.schema.get(), &settings), "{what}: its schema allows it");
+        assert!(!jsonschema::is_valid(plugin.schema.get(), &settings), "{what}: its schema allows it");
         let refused = match &plugin.build {
             Build::Ingest(constructor) => constructor.build(&settings, &context).err(),
             Build::Artefact(constructor) => constructor.build(&settings, &context).err(),
@@ -134,7 +134,7 @@ fn every_limit_has_a_rule_of_decision() {
         let Build::Validate(constructor) = &plugin.build else { continue };
         let (schema, example) = (plugin.schema.get(), plugin.example.get());
         let mut places = Vec::new();
-        numbers(&example, "", &mut places);
+        numbers(example, "", &mut places);
         for place in places {
             let what = format!("{} {place}", plugin.name);
             let with = |decision: Value| {
@@ -142,7 +142,7 @@ fn every_limit_has_a_rule_of_decision() {
                 let number = settings.pointer_mut(&place).expect("it is there");
                 *number = json!({ "limit": number, "decision": decision });
                 let built = constructor.build(&settings, &context).map(drop);
-                (built, jsonschema::is_valid(&schema, &settings))
+                (built, jsonschema::is_valid(schema, &settings))
             };
             let (built, taken) = with(json!("simple"));
             assert_eq!(built.is_ok(), taken, "{what}: code and schema differ");

@@ -131,13 +131,13 @@ fn every_number_has_a_range_that_is_kept() {
     let mut count = 0;
     for plugin in registry().iter() {
         let schema = plugin.schema.get();
-        assert_eq!(ranges::check(&schema, &plugin.example.get()), Ok(()), "{}: its example", plugin.name);
-        for place in all_places(&schema) {
+        assert_eq!(ranges::check(schema, plugin.example.get()), Ok(()), "{}: its example", plugin.name);
+        for place in all_places(schema) {
             let what = format!("{} `{}`{}", plugin.kind(), plugin.name, place.name);
             let ([least, most], [has_least, has_most]) =
                 range(&place.schema).unwrap_or_else(|| panic!("{what} has no range"));
             assert!(least < most, "{what}: {least} to {most}");
-            let refused = |value: f64| ranges::check(&schema, &(place.settings)(json!(value))).is_err();
+            let refused = |value: f64| ranges::check(schema, &(place.settings)(json!(value))).is_err();
             let is_whole = place.schema["type"].to_string().contains("integer");
             // Another alternative may take what this one does not, but nothing takes what is beyond all of them.
             for value in [1e300, -1e300] {
@@ -147,9 +147,9 @@ fn every_number_has_a_range_that_is_kept() {
             assert!(
                 !refused(inside),
                 "{what}: {inside} is refused: {:?}",
-                ranges::check(&schema, &(place.settings)(json!(inside)))
+                ranges::check(schema, &(place.settings)(json!(inside)))
             );
-            let alone = all_places(&schema).iter().filter(|other| other.name == place.name).count() == 1;
+            let alone = all_places(schema).iter().filter(|other| other.name == place.name).count() == 1;
             let step = if is_whole { 1.0 } else { 1e-6 * most.abs().max(1.0) };
             let beyond = [
                 (least - step, true),
@@ -196,7 +196,7 @@ fn what_is_refused_has_its_line() {
     let registry = registry();
     let mut count = 0;
     for plugin in registry.iter() {
-        for place in all_places(&plugin.schema.get()) {
+        for place in all_places(plugin.schema.get()) {
             let settings = (place.settings)(json!(1e300));
             if settings.as_object().is_some_and(|map| map.keys().any(|key| OF_RECIPE.contains(&key.as_str()))) {
                 continue;

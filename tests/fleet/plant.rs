@@ -18,28 +18,13 @@ pub struct Plant {
     pub table: bool,
 }
 
-/// What every machine is calibrated by.
-const RECIPE: &str = r#"abbe: 1
-name: Three axes
-stages:
-  runs: { ingest: csv, path: lengths.csv }
-  bar:  { artefact: length, from: runs, standard_uncertainty_um: 1 }
-  machine:
-    model: serial-chain
-    chain: "w b X Y Z t"
-    tool_length_mm: 100
-    stylus_radius_mm: 3
-    errors:
-      - { location: [EC0Y, EA0Z, EB0Z] }
-      - { polynomial: [EXX, EYY, EZZ], degrees: [1] }
-  fit:
-    estimate: gauss-newton
-    machine: machine
-    observations: [bar]
-    parameters: ["E*[1]", EC0Y, EA0Z, EB0Z]
-  judge: { validate: residuals, of: fit, limits: { rms_um: 1 } }
-  table: { export: error-table, of: fit, step_mm: 100, ranges: { X: { from_mm: -300, to_mm: 300 }, Y: { from_mm: -300, to_mm: 300 }, Z: { from_mm: -300, to_mm: 300 } } }
-"#;
+/// What every machine is calibrated by, and how that is judged. Campaigns take the file alone.
+const RECIPE: &str = concat!(
+    include_str!("recipe.yaml"),
+    "  judge: { validate: residuals, of: fit, limits: { rms_um: 1 } }\n",
+    "  table: { export: error-table, of: fit, step_mm: 100, ranges: { X: { from_mm: -300, to_mm: 300 }, ",
+    "Y: { from_mm: -300, to_mm: 300 }, Z: { from_mm: -300, to_mm: 300 } } }\n",
+);
 
 impl Plant {
     pub fn random(random: &mut Random) -> Self {

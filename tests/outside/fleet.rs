@@ -1,13 +1,16 @@
-//! Fleets on engines that deal out jobs: a real cluster of Ray and one of Slurm, on this machine and its loopback interface alone.
+//! Fleets on engines that deal out jobs: real clusters of Ray, Slurm and Dask, on this machine and its loopback interface alone.
 //! Workers are killed at random, jobs are lost and done twice; the merged bytes are those of one process.
 #![cfg(target_os = "linux")]
 
+mod dask;
+mod kubernetes;
 mod processes;
 mod ray;
 mod slurm;
 
+use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
@@ -31,7 +34,7 @@ fn survives(
     seed: u64,
     engine: impl Fn() -> Vec<u32>,
     wrapper: impl Fn(&Path) -> Command,
-    is_worker: impl Fn(&str, &str) -> bool,
+    is_worker: impl Fn(u32, &str, &str) -> bool,
 ) {
     let mut random = Random::new(seed);
     let plant = Plant { weeks: (1..=4).collect(), ..Plant::of(10) };
@@ -54,7 +57,7 @@ fn survives(
             break;
         }
         let workers: Vec<u32> = (engine().into_iter().chain(descendants(process.id())))
-            .filter(|id| name_of(*id).is_some_and(|name| is_worker(&name, &place)))
+            .filter(|id| name_of(*id).is_some_and(|name| is_worker(*id, &name, &place)))
             .collect();
         assert!(workers.len() < 100, "{} processes do jobs", workers.len());
         if killed < KILLS && !workers.is_empty() && random.unit() < 0.5 {
@@ -90,9 +93,7 @@ fn survives(
     same(&merged(at), &expected, "in the end");
 }
 
-fn without_calibrations<T: Clone>(
-    files: &std::collections::BTreeMap<std::path::PathBuf, T>,
-) -> std::collections::BTreeMap<std::path::PathBuf, T> {
+fn without_calibrations<T: Clone>(files: &BTreeMap<PathBuf, T>) -> BTreeMap<PathBuf, T> {
     files
         .iter()
         .filter(|(name, _)| !name.starts_with("calibrations"))
@@ -101,6 +102,18 @@ fn without_calibrations<T: Clone>(
 }
 
 /// A wrapper of the folder `examples/fleet`.
-fn example(name: &str) -> std::path::PathBuf {
+fn example(name: &str) -> PathBuf {
     root().join("examples/fleet").join(name)
+}
+
+/// The Python packages that `.ci/run` installs for these tests.
+fn packages() -> PathBuf {
+    root().join("target/python-fleets")
+}
+
+/// Whether Python finds a module there, or on its own.
+fn python_has(module: &str) -> bool {
+    let mut python = Command::new("python3");
+    let found = python.args(["-c", &format!("import {module}")]).env("PYTHONPATH", packages()).output();
+    found.is_ok_and(|found| found.status.success())
 }

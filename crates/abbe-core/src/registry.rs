@@ -1,9 +1,10 @@
 //! The registry: every plugin, built in or loaded, under its kind and name.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -107,7 +108,7 @@ pub enum Build {
 
 /// A JSON value that a plugin provides.
 pub enum Provider {
-    /// Made when asked for.
+    /// Made when first asked for, once in a process.
     Static(fn() -> Value),
     /// Handed over when the plugin was loaded.
     Value(Value),
@@ -115,12 +116,19 @@ pub enum Provider {
 
 impl Provider {
     /// The value.
-    pub fn get(&self) -> Value {
+    pub fn get(&self) -> &Value {
         match self {
-            Self::Static(make) => make(),
-            Self::Value(value) => value.clone(),
+            Self::Static(make) => made(*make),
+            Self::Value(value) => value,
         }
     }
+}
+
+/// What a function gives, which is asked once. The record of a built-in plugin is constant, so it cannot keep it.
+fn made(make: fn() -> Value) -> &'static Value {
+    static MADE: Mutex<BTreeMap<fn() -> Value, &'static Value>> = Mutex::new(BTreeMap::new());
+    let mut made = MADE.lock().unwrap_or_else(PoisonError::into_inner);
+    made.entry(make).or_insert_with(|| Box::leak(Box::new(make())))
 }
 
 /// Where a plugin comes from.
@@ -340,5 +348,23 @@ impl Registry {
                 None => error.help(format!("there are: {}", names.join(", "))),
             }
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::*;
+
+    #[test]
+    fn a_schema_is_made_when_it_is_first_asked_for_and_once() {
+        static MADE: AtomicUsize = AtomicUsize::new(0);
+        let schema = || Value::from(MADE.fetch_add(1, Ordering::Relaxed));
+        let build = Build::Ingest(Constructor::Static(|_, _| Err(SettingsError::new("", "nothing"))));
+        let plugin = Plugin::built_in("counted", "counts", schema, || Value::Null, build);
+        assert_eq!(MADE.load(Ordering::Relaxed), 0);
+        assert_eq!([plugin.schema.get(), plugin.schema.get()], [&Value::from(0); 2]);
+        assert_eq!(MADE.load(Ordering::Relaxed), 1);
     }
 }

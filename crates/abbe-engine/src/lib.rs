@@ -53,7 +53,7 @@ pub use parts::{OfParts, Part, PartSet, Share};
 pub use plan::Measurements;
 pub use prepare::{Prepared, prepare, prepared};
 pub use record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, Remark, RunRecord};
-pub use run::{model_of, model_with_log};
+pub use saved::{model_of, model_with_log};
 pub use simulate::{Simulated, SimulatedFile, UnchangedFile};
 pub use staging::temporary_file;
 pub use understood::Understood;

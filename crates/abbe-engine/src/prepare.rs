@@ -52,9 +52,6 @@ pub struct Prepared {
 /// Bytes of the largest file that a stage may read which is no measurement: nominal places, statements, tables of a control.
 const LARGEST_INPUT: u64 = 4 << 30;
 
-/// The schemas of plugins, by kind and name: stages of one plugin have the same.
-type Schemas = BTreeMap<(Kind, String), Value>;
-
 /// Reads a recipe, builds its stages and checks them.
 ///
 /// Fails with [`abbe_core::Class::Use`] on everything that is wrong with the recipe, the files that it names and their
@@ -98,9 +95,8 @@ pub(crate) fn built(recipe: Recipe, registry: &Registry, given: &Given) -> Resul
     };
     prepared.files.extend(prepared.recipe.libraries.iter().map(|library| library.path.clone()));
     let context = Context { base: prepared.recipe.base.clone() };
-    let mut schemas = Schemas::new();
     for stage in prepared.recipe.stages.clone() {
-        let inputs = prepared.build(&stage, registry, &context, &mut schemas)?;
+        let inputs = prepared.build(&stage, registry, &context)?;
         let inputs = prepared.take_table(&stage, given, inputs)?;
         prepared.files.extend(stage.files.iter().cloned());
         for InputFile { setting, path } in inputs {
@@ -170,13 +166,7 @@ impl Prepared {
     }
 
     /// Builds one stage; gives the files that it reads.
-    fn build(
-        &mut self,
-        stage: &Stage,
-        registry: &Registry,
-        context: &Context,
-        schemas: &mut Schemas,
-    ) -> Result<Vec<InputFile>> {
+    fn build(&mut self, stage: &Stage, registry: &Registry, context: &Context) -> Result<Vec<InputFile>> {
         let wrong = |error: SettingsError| self.recipe.settings_error(&stage.name, error);
         let plugin = registry.find(stage.kind, &stage.plugin).map_err(wrong)?;
         let record = PluginRecord::of(plugin);
@@ -185,7 +175,7 @@ impl Prepared {
         }
         let settings = &stage.settings;
         let name = stage.name.clone();
-        let schema = schemas.entry((plugin.kind(), plugin.name.to_string())).or_insert_with(|| plugin.schema.get());
+        let schema = plugin.schema.get();
         if plugin.kind() != Kind::Model {
             ranges::check(schema, settings).map_err(wrong)?;
         }

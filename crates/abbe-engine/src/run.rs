@@ -6,8 +6,8 @@ use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use abbe_core::{
-    Calibration, Class, DataRecord, DataRow, Dataset, Error, EstimateSource, Event, Export, ExportedFile, Findings,
-    Fit, Kind, KinematicModel, Monitor, ObservationSet, Problem, Registry, Result, Verdict, in_parallel,
+    Class, DataRecord, DataRow, Dataset, Error, EstimateSource, Event, Export, ExportedFile, Findings, Fit, Kind,
+    KinematicModel, Monitor, ObservationSet, Problem, Result, Verdict, in_parallel,
 };
 use abbe_estimation::{copies, remarks};
 use abbe_recipe::Stage;
@@ -17,7 +17,7 @@ use crate::groups::{GroupProblem, is_of};
 use crate::outcome::{Failure, Outcome};
 use crate::plausibility::{check_stated, check_tips, check_uncertainties};
 use crate::prediction::{Predicted, prediction_fit};
-use crate::prepare::{Prepared, build_model};
+use crate::prepare::Prepared;
 use crate::readings::has_readings;
 use crate::record::{FileRecord, Remark, Stamp, changed, input_records, sha256, stamp, unchanged};
 use crate::row_settings::Wanted;
@@ -475,25 +475,6 @@ fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Result<Problem> {
 
 pub(crate) fn named<'a>(names: &[String], fits: &'a [Fit]) -> Vec<&'a Fit> {
     names.iter().flat_map(|name| fits.iter().filter(move |fit| is_of(fit, name))).collect()
-}
-
-/// The model of a calibration, built from its own settings alone.
-pub fn model_of(calibration: &Calibration, registry: &Registry) -> Result<Arc<dyn KinematicModel>> {
-    model_with_log(calibration, None, registry)
-}
-
-/// The model of a calibration whose errors follow another log of sensors than the one of its measurement.
-///
-/// Fails for a log that does not have what its errors follow.
-pub fn model_with_log(
-    calibration: &Calibration,
-    log: Option<&Dataset>,
-    registry: &Registry,
-) -> Result<Arc<dyn KinematicModel>> {
-    let plugin = registry
-        .find(Kind::Model, &calibration.model.plugin)
-        .map_err(|error| Error::data(format!("the model of this calibration: {error}")))?;
-    build_model(plugin, &calibration.model.settings)?.build(log.as_slice())
 }
 
 /// The same fit; `monitor` observes the work on its problem.

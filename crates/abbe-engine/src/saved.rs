@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use abbe_core::{
-    Calibration, Class, Error, Estimate, EstimateSource, Fit, Kind, KinematicModel, Model, PathItem, Problem, Registry,
-    Result, SettingsError, Status, Unknown,
+    Calibration, Class, Dataset, Error, Estimate, EstimateSource, Fit, Kind, KinematicModel, Model, PathItem, Problem,
+    Registry, Result, SettingsError, Status, Unknown,
 };
 use abbe_recipe::Stage;
 use serde_json::Value;
@@ -36,14 +36,36 @@ impl SavedCalibration {
                 let model = Box::new(SavedQuantities(calibration.clone()));
                 return Ok(Self { calibration, model, of_readings: true });
             }
-            let plugin = registry.find(Kind::Model, &calibration.model.plugin);
-            let plugin = plugin.map_err(|error| Error::data(format!("the model of this calibration: {error}")))?;
-            let model = build_model(plugin, &calibration.model.settings)?;
+            let model = own_model(&calibration, registry)?;
             Ok(Self { calibration, model, of_readings: false })
         };
         // This error is found without a run, so its class is that of wrong use.
         found().map_err(|error: Error| Error { class: Class::Use, ..error })
     }
+}
+
+/// The model of a calibration, built from its own settings alone.
+pub fn model_of(calibration: &Calibration, registry: &Registry) -> Result<Arc<dyn KinematicModel>> {
+    model_with_log(calibration, None, registry)
+}
+
+/// The model of a calibration whose errors follow another log of sensors than the one of its measurement.
+///
+/// Fails for a log that does not have what its errors follow.
+pub fn model_with_log(
+    calibration: &Calibration,
+    log: Option<&Dataset>,
+    registry: &Registry,
+) -> Result<Arc<dyn KinematicModel>> {
+    own_model(calibration, registry)?.build(log.as_slice())
+}
+
+/// The stage of the model that a calibration contains.
+fn own_model(calibration: &Calibration, registry: &Registry) -> Result<Box<dyn Model>> {
+    let plugin = registry
+        .find(Kind::Model, &calibration.model.plugin)
+        .map_err(|error| Error::data(format!("the model of this calibration: {error}")))?;
+    build_model(plugin, &calibration.model.settings)
 }
 
 /// Whether a calibration was made of readings that are no geometry.

@@ -197,7 +197,7 @@ impl FamilyPlan<'_> {
         let wrong = |message: String| Error::usage(message).stage(&trials.stage);
         let plugin = stage["estimate"].as_str().and_then(|name| self.registry.find(Kind::Estimate, name).ok());
         let settings = plugin.map(|plugin| plugin.schema.get());
-        let takes = |key: &str| settings.as_ref().is_some_and(|schema| schema["properties"].get(key).is_some());
+        let takes = |key: &str| settings.is_some_and(|schema| schema["properties"].get(key).is_some());
         if !takes(BLOCK) || !takes(SOLVED) {
             return Err(wrong("this is no estimate by trials in blocks; `monte-carlo` is one".to_owned()));
         }

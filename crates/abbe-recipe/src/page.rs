@@ -27,7 +27,7 @@ pub fn page(plugin: &Plugin) -> String {
     page.push_str("\n## Settings\n");
     let schema = plugin.schema.get();
     let mut settings = String::new();
-    list(&schema, &schema, 0, &mut settings);
+    list(schema, schema, 0, &mut settings);
     page.push_str(if settings.is_empty() { "None of its own.\n" } else { &settings });
     let mut more: Vec<String> = references(plugin).iter().map(|reference| format!("`{}`", reference.key)).collect();
     if kind == Kind::Estimate
@@ -86,7 +86,7 @@ fn example(plugin: &Plugin) -> String {
         stage.insert("parameters".to_owned(), Value::from(vec!["E*"]));
     }
     if let Value::Object(settings) = plugin.example.get() {
-        stage.extend(settings);
+        stage.extend(settings.clone());
     }
     serde_yaml::to_string(&Value::Object([("my-stage".to_owned(), Value::Object(stage))].into_iter().collect()))
         .unwrap_or_default()
@@ -310,7 +310,7 @@ mod tests {
             },
         });
         let mut found = String::new();
-        list(&schema, &schema, 0, &mut found);
+        list(schema, schema, 0, &mut found);
         let expected = "- `nominal` (text, required): File.\n\
                         - `standard_uncertainty_um` (number, µm, default `0.5`): Of one touch.\n\
                         - `rows` (`touches` or `centres`, default `touches`)\n  \
@@ -328,7 +328,7 @@ mod tests {
         let list_of_lists = json!({ "type": "array", "items": { "$ref": "#/$defs/list" } });
         let schema = json!({ "$defs": { "node": node, "list": list_of_lists }, "properties": { "tree": { "$ref": "#/$defs/node" } } });
         let mut found = String::new();
-        list(&schema, &schema, 0, &mut found);
+        list(schema, schema, 0, &mut found);
         assert!(found.starts_with("- `tree` (map)\n  - `children` (list of maps)\n"), "{found}");
         assert!(found.contains("Lists of lists.") && found.len() < 100_000, "{}", found.len());
     }

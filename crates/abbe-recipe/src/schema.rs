@@ -68,7 +68,7 @@ fn plan() -> Value {
 fn stage(plugin: &Plugin) -> Value {
     let kind = plugin.kind();
     let mut settings = match plugin.schema.get() {
-        Value::Object(settings) => settings,
+        Value::Object(settings) => settings.clone(),
         _ => Map::new(), // `true`: whatever the plugin takes
     };
     let mut properties = Map::new();

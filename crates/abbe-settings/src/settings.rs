@@ -1,6 +1,9 @@
 //! Settings of stages: JSON in, a typed struct out, and errors that say which setting is wrong.
 
+use std::any::TypeId;
+use std::collections::BTreeMap;
 use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use schemars::JsonSchema;
 use serde::de::{self, DeserializeOwned, IntoDeserializer};
@@ -181,9 +184,18 @@ pub fn from_settings<T: DeserializeOwned>(settings: &Value) -> Result<T, Setting
 }
 
 /// Reads typed settings whose numbers have to be in the ranges of their schema.
-pub fn from_settings_in_range<T: DeserializeOwned + JsonSchema>(settings: &Value) -> Result<T, SettingsError> {
-    ranges::check(&schema_of::<T>(), settings)?;
+pub fn from_settings_in_range<T: DeserializeOwned + JsonSchema + 'static>(
+    settings: &Value,
+) -> Result<T, SettingsError> {
+    ranges::check(&known_schema_of::<T>(), settings)?;
     from_settings(settings)
+}
+
+/// The schema of a type, made once in a process: settings of the same type are read for every stage of every recipe.
+fn known_schema_of<T: JsonSchema + 'static>() -> Arc<Value> {
+    static KNOWN: Mutex<BTreeMap<TypeId, Arc<Value>>> = Mutex::new(BTreeMap::new());
+    let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+    known.entry(TypeId::of::<T>()).or_insert_with(|| Arc::new(schema_of::<T>())).clone()
 }
 
 /// Refuses a setting that is not a positive finite number.
@@ -357,7 +369,7 @@ impl<'de> Deserializer<'de> for Json<'de> {
 mod tests {
     use super::*;
     use serde_json::json;
-    use std::collections::BTreeMap;
+    use std::sync::atomic::{AtomicUsize, Ordering};
 
     #[derive(Debug, Deserialize)]
     #[serde(deny_unknown_fields)]
@@ -410,5 +422,34 @@ mod tests {
         }
         let good = from_settings::<Example>(&json!({ "name": "a", "degrees": [1], "styli": { "2": 1 }, "on": "drop" }));
         assert!(good.is_ok(), "{good:?}");
+    }
+
+    #[derive(Debug, Deserialize, JsonSchema)]
+    struct Counted {
+        #[schemars(schema_with = "counted")]
+        n: f64,
+    }
+
+    static MADE: AtomicUsize = AtomicUsize::new(0);
+
+    fn counted(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
+        MADE.fetch_add(1, Ordering::Relaxed);
+        schemars::json_schema!({ "type": "number", "minimum": 0, "maximum": 1 })
+    }
+
+    #[test]
+    fn the_schema_of_a_type_is_made_once() {
+        #[derive(Debug, Deserialize, JsonSchema)]
+        struct Other {
+            #[allow(dead_code, reason = "it is only read")]
+            n: f64,
+        }
+        for n in [0.0, 0.5, 1.0] {
+            assert_eq!(from_settings_in_range::<Counted>(&json!({ "n": n })).unwrap().n, n);
+        }
+        assert_eq!(MADE.load(Ordering::Relaxed), 1);
+        // Another type has its own.
+        assert!(from_settings_in_range::<Counted>(&json!({ "n": 2 })).is_err());
+        assert!(from_settings_in_range::<Other>(&json!({ "n": 2 })).is_ok());
     }
 }

@@ -127,7 +127,7 @@ mod every_validator {
             .iter()
             .filter(|plugin| plugin.kind() == Kind::Validate)
             .map(|plugin| {
-                assert!(validator(&plugin.name, Path::new(""), &plugin.example.get()).is_ok(), "{}", plugin.name);
+                assert!(validator(&plugin.name, Path::new(""), plugin.example.get()).is_ok(), "{}", plugin.name);
                 plugin.name.as_ref()
             })
             .collect();

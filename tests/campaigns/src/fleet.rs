@@ -1,7 +1,8 @@
 //! What a fleet costs beside its calibrations, and what a million machines a day need.
 //!
-//! The first part measures: COUNT small machines by `abbe fleet`, and the same calibrations in a loop without it. The second part
-//! simulates a day with what was measured. Figures for people; the one law is that every job is done.
+//! The first part measures the time of processors for COUNT small machines: by `abbe fleet`, by preparing their recipes in a loop, and
+//! by running them in a loop. What a job takes beside running its recipe, which reads the data and estimates, is overhead. The second
+//! part simulates a day. Figures for people; the one law is that every job is done.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -16,19 +17,8 @@ use abbe_engine::prepare;
 use crate::Random;
 use crate::machines::Report;
 
-/// A machine with three axes, six errors and twelve lengths: smaller than any that is worth a file of its own.
-const RECIPE: &str = r#"abbe: 1
-stages:
-  runs: { ingest: csv, path: lengths.csv }
-  bar:  { artefact: length, from: runs, standard_uncertainty_um: 1 }
-  machine:
-    model: serial-chain
-    chain: "w b X Y Z t"
-    tool_length_mm: 100
-    stylus_radius_mm: 3
-    errors: [{ location: [EC0Y, EA0Z, EB0Z] }, { polynomial: [EXX, EYY, EZZ], degrees: [1] }]
-  fit: { estimate: gauss-newton, machine: machine, observations: [bar], parameters: ["E*"] }
-"#;
+/// What every machine is calibrated by: as in the tests of fleets, without their validator and exporter.
+const RECIPE: &str = include_str!("../../fleet/recipe.yaml");
 
 const FLEET: &str = r#"abbe_fleet: 1
 families:
@@ -67,8 +57,12 @@ pub fn run(program: &Path, seed: u64, count: u64) -> Report {
     }
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let mut report = Report { text: String::new(), broken: Vec::new() };
-    let bare = bare(at, count, cores);
-    let (mut run, mut per_job) = (0.0, f64::NAN);
+    let a_job = |seconds: f64| 1e3 * seconds / count as f64;
+    let told = |what: &str, [clock, processors]: [f64; 2]| {
+        format!("{what:<34}{clock:8.2} s  {processors:8.2} s  {:7.3} ms\n", a_job(processors))
+    };
+    report.text.push_str("                                      clock   processors      a job\n");
+    let mut run = f64::NAN;
     for command in [
         &["plan", "fleet.yaml"][..],
         &["run", MANIFEST],
@@ -80,18 +74,24 @@ pub fn run(program: &Path, seed: u64, count: u64) -> Report {
         if !succeeded {
             report.broken.push(format!("`abbe fleet {}` failed", command.join(" ")));
         }
-        if command[0] == "run" && run == 0.0 {
-            run = seconds;
-            per_job = 1e3 * seconds * cores as f64 / count as f64;
+        // The first one: in the second all is done already.
+        if command[0] == "run" && run.is_nan() {
+            run = seconds[1];
         }
-        report.text.push_str(&format!("{:<32}{seconds:8.2} s\n", format!("abbe fleet {}", command[0])));
+        report.text.push_str(&told(&format!("abbe fleet {}", command[0]), seconds));
     }
-    let overhead = 1e3 * (run - bare) * cores as f64 / count as f64;
-    let size = |name: &str| size(&at.join(name)) as f64 / count as f64;
-    report.text.push_str(&format!("the same without a fleet        {bare:8.2} s\n"));
+    let (prepared, all) = alone(at, count, cores);
+    report.text.push_str(&told("recipes prepared in one process", prepared));
+    report.text.push_str(&told("recipes prepared and run in one", all));
+    let work = all[1] - prepared[1];
     report.text.push_str(&format!(
-        "{count} jobs on {cores} cores: {per_job:.3} ms of a core a job, {overhead:.3} ms of it overhead\n"
+        "a job takes {:.3} ms of a core: {:.3} ms to run its recipe, {:.3} ms to prepare it, {:.3} ms overhead with that\n",
+        a_job(run),
+        a_job(work),
+        a_job(prepared[1]),
+        a_job(run - work)
     ));
+    let size = |name: &str| size(&at.join(name)) as f64 / count as f64;
     let (result, line, data) = (size("fleet.results"), size(MANIFEST), size("data"));
     report.text.push_str(&format!("bytes a job: result {result:.0}, manifest {line:.0}, data {data:.0}\n\n"));
     report.text.push_str(&day(seed, MILLION, 300.0));
@@ -100,35 +100,72 @@ pub fn run(program: &Path, seed: u64, count: u64) -> Report {
 
 const MANIFEST: &str = "fleet.manifest.jsonl";
 
-/// Seconds for the same calibrations in one process, without files of results.
-fn bare(at: &Path, count: u64, cores: usize) -> f64 {
+/// Seconds to prepare all recipes in one process, without files of results; and to prepare and run them.
+fn alone(at: &Path, count: u64, cores: usize) -> ([f64; 2], [f64; 2]) {
     let registry = Registry::built_in().expect("the built-in plugins");
     let recipes: Vec<_> = (0..count)
         .map(|case| {
-            let path = at.join(format!("bare-{case}.yaml"));
+            let path = at.join(format!("alone-{case}.yaml"));
             fs::write(&path, RECIPE.replace("lengths.csv", &format!("data/{case}.csv"))).expect("a file");
             path
         })
         .collect();
-    let began = Instant::now();
-    let calibrations: usize = in_parallel(&recipes, Some(cores), |path| {
-        let outcome = prepare(path, &registry).and_then(|prepared| prepared.run(&Monitor::default()));
-        outcome.map_or(0, |outcome| outcome.fits.len())
-    })
-    .into_iter()
-    .sum();
-    let seconds = began.elapsed().as_secs_f64();
-    assert_eq!(calibrations as u64, count);
+    let [prepared, all] = [false, true].map(|runs| {
+        let began = Clock::now();
+        let done: usize = in_parallel(&recipes, Some(cores), |path| {
+            let prepared = prepare(path, &registry).expect("a recipe");
+            if runs { prepared.run(&Monitor::default()).map_or(0, |outcome| outcome.fits.len()) } else { 1 }
+        })
+        .into_iter()
+        .sum();
+        assert_eq!(done as u64, count);
+        began.own()
+    });
     recipes.iter().for_each(|path| drop(fs::remove_file(path)));
-    seconds
+    (prepared, all)
 }
 
-fn timed(program: &Path, at: &Path, arguments: &[&str]) -> (f64, bool) {
-    let began = Instant::now();
+fn timed(program: &Path, at: &Path, arguments: &[&str]) -> ([f64; 2], bool) {
+    let began = Clock::now();
     let mut command = Command::new(program);
     command.arg("fleet").args(arguments).current_dir(at).env("ABBE_CAMPAIGN_PROGRAM", "1");
     let status = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).status();
-    (began.elapsed().as_secs_f64(), status.is_ok_and(|status| status.success()))
+    (began.others(), status.is_ok_and(|status| status.success()))
+}
+
+/// A clock, and the time that processors have worked.
+struct Clock {
+    began: Instant,
+    processors: [f64; 2],
+}
+
+impl Clock {
+    fn now() -> Self {
+        Self { began: Instant::now(), processors: processors() }
+    }
+
+    /// Seconds since then, and those that processors have worked for this process.
+    fn own(&self) -> [f64; 2] {
+        [self.began.elapsed().as_secs_f64(), processors()[0] - self.processors[0]]
+    }
+
+    /// The same for processes that this one has started and that have ended.
+    fn others(&self) -> [f64; 2] {
+        [self.began.elapsed().as_secs_f64(), processors()[1] - self.processors[1]]
+    }
+}
+
+/// Seconds that processors have worked for this process, and for those that it has started and that have ended. Linux counts
+/// hundredths; other systems are not asked.
+fn processors() -> [f64; 2] {
+    let stat = fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    // The name of a program may have blanks and brackets. The numbers 14 to 17 are times.
+    let after = stat.rsplit_once(") ").map_or("", |(_, after)| after);
+    let times: Vec<f64> = after.split_whitespace().skip(11).take(4).filter_map(|number| number.parse().ok()).collect();
+    match times.as_slice() {
+        [user, system, others, others_system] => [(user + system) / 100.0, (others + others_system) / 100.0],
+        _ => [f64::NAN; 2],
+    }
 }
 
 /// Bytes of a file, or of all files under a folder.

@@ -42,7 +42,7 @@ fn workers_that_are_killed_under_ray_change_nothing() {
         command
     };
     // Those of Ray that do a task, and the program that they start.
-    let is_worker = |name: &str, fleet: &str| {
+    let is_worker = |_: u32, name: &str, fleet: &str| {
         name.starts_with("ray::batch_of_jobs") || name.contains("fleet job") && name.contains(fleet)
     };
     survives(31, || descendants(cluster.id()), wrapper, is_worker);

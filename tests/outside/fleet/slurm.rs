@@ -95,7 +95,7 @@ fn tasks_that_are_killed_under_slurm_change_nothing() {
     };
     // The program, and the script of a task that turns into it.
     let own = at.display().to_string();
-    let is_worker = |name: &str, fleet: &str| {
+    let is_worker = |_: u32, name: &str, fleet: &str| {
         name.contains("fleet job") && name.contains(fleet) || name.contains("slurm_script") && name.contains(&own)
     };
     // What is killed runs under a process of the node that is no child of it any more.

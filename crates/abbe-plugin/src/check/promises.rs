@@ -47,7 +47,7 @@ pub(super) fn machines(library: &Library, findings: &mut Findings) -> Vec<(Strin
             continue;
         };
         let context = Context { base: std::env::temp_dir() };
-        let stage = constructor.build(&plugin.example.get(), &context).map_err(|error| error.to_string());
+        let stage = constructor.build(plugin.example.get(), &context).map_err(|error| error.to_string());
         match stage.and_then(|stage| stage.build(&[]).map_err(|error| error.to_string())) {
             Ok(machine) => machines.push((plugin.name.to_string(), machine)),
             Err(error) => findings.wrong(format!("`{}` cannot be built from its example: {error}", plugin.name)),
@@ -79,7 +79,7 @@ pub(super) fn estimators(library: &Library, findings: &mut Findings) {
     for plugin in &library.plugins {
         let Build::Estimate(constructor) = &plugin.build else { continue };
         // The test of settings reports an example that cannot be built.
-        let Ok(stage) = constructor.build(&plugin.example.get(), &Context { base: std::env::temp_dir() }) else {
+        let Ok(stage) = constructor.build(plugin.example.get(), &Context { base: std::env::temp_dir() }) else {
             continue;
         };
         match laws::check_estimator(stage.as_ref()) {
@@ -129,7 +129,7 @@ pub(super) fn settings(library: &Library, findings: &mut Findings) {
         for key in map.keys().filter(|key| schema["properties"].get(key).is_none()) {
             findings.wrong(format!("`{name}`: the example has `{key}`, which the schema does not know"));
         }
-        if let Err(error) = build(plugin, &example) {
+        if let Err(error) = build(plugin, example) {
             findings.wrong(format!("`{name}` cannot be built from its example: {error}"));
             continue;
         }
@@ -241,7 +241,7 @@ pub(super) fn leaks(library: &Library, findings: &mut Findings) {
         let mut wrong = example.clone();
         wrong["frobnicate"] = Value::from(1);
         grows(findings, &format!("`{}`: stages that are built and let go of", plugin.name), || {
-            let _ = build(plugin, &example);
+            let _ = build(plugin, example);
             let _ = build(plugin, &wrong);
         });
     }

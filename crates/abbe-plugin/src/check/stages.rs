@@ -35,29 +35,29 @@ fn trials(plugin: &Plugin) -> Vec<(&'static str, Result<()>)> {
     let machine = Plain::new();
     // The test of settings reports an example that cannot be built.
     match &plugin.build {
-        Build::Ingest(constructor) => match constructor.build(&example, &context) {
+        Build::Ingest(constructor) => match constructor.build(example, &context) {
             Ok(stage) => vec![("a file that is not there", stage.read().map(drop))],
             Err(_) => Vec::new(),
         },
-        Build::Artefact(constructor) => match constructor.build(&example, &context) {
+        Build::Artefact(constructor) => match constructor.build(example, &context) {
             Ok(stage) => data().map(|(given, data)| (given, stage.observe(&Arc::new(data), &machine).map(drop))).into(),
             Err(_) => Vec::new(),
         },
-        Build::Estimate(constructor) => match constructor.build(&example, &context) {
+        Build::Estimate(constructor) => match constructor.build(example, &context) {
             Ok(stage) => vec![("a problem without observations", stage.estimate(&problem()).map(drop))],
             Err(_) => Vec::new(),
         },
-        Build::Validate(constructor) => match constructor.build(&example, &context) {
+        Build::Validate(constructor) => match constructor.build(example, &context) {
             Ok(stage) => {
                 fits().map(|(given, fit)| (given, stage.validate(&[&fit], &[&Dataset::default()]).map(drop))).into()
             }
             Err(_) => Vec::new(),
         },
-        Build::Export(constructor) => match constructor.build(&example, &context) {
+        Build::Export(constructor) => match constructor.build(example, &context) {
             Ok(stage) => fits().map(|(given, fit)| (given, stage.export(&fit.calibration, &machine).map(drop))).into(),
             Err(_) => Vec::new(),
         },
-        Build::Model(constructor) => match constructor.build(&example, &context) {
+        Build::Model(constructor) => match constructor.build(example, &context) {
             Ok(stage) => data().map(|(given, data)| (given, stage.build(&[&data]).map(drop))).into(),
             Err(_) => Vec::new(),
         },

@@ -60,12 +60,12 @@ pub(super) fn twice(library: &Library, findings: &mut Findings) {
 fn stands_beside_another(plugin: &Plugin, findings: &mut Findings) {
     let example = plugin.example.get();
     // The test of settings reports an example that cannot be built.
-    let Ok(first) = built(plugin, &example) else { return };
-    if let Err(error) = built(plugin, &example) {
+    let Ok(first) = built(plugin, example) else { return };
+    if let Err(error) = built(plugin, example) {
         findings.wrong(format!("`{}` cannot be created a second time: {error}", plugin.name));
     }
     drop(first);
-    if let Err(error) = built(plugin, &example) {
+    if let Err(error) = built(plugin, example) {
         findings.wrong(format!("`{}` cannot be created again after it was let go of: {error}", plugin.name));
     }
 }

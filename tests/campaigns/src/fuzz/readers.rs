@@ -47,8 +47,7 @@ pub fn targets() -> Vec<Target> {
         settings.as_object_mut().expect("a map").extend(more.as_object().expect("a map").clone());
         targets.push(reader(plugin, plugin, settings, folder(&format!("tests/fuzz/seeds/{plugin}"), &[""])));
     }
-    let example = registry().find(Kind::Ingest, "text").expect("a reader").example.get();
-    let mut settings = example.clone();
+    let mut settings = registry().find(Kind::Ingest, "text").expect("a reader").example.get().clone();
     settings["path"] = json!("input");
     targets.push(reader("text", "text", settings, folder("tests/fuzz/seeds/text", &[""])));
     targets
