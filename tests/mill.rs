@@ -497,6 +497,12 @@ fn derivatives_are_those_of_differences() {
     let count = problem.unknowns.len();
     let mut jacobian = Vec::new();
     problem.linearise(&x, |block| jacobian.extend_from_slice(block.jacobian)).expect("derivatives");
+    let compact = problem.linearise_compact(&x, |block| {
+        let sizes = |at: usize| block.lines().map(move |(_, _, line)| line[at].abs());
+        assert!(block.unknowns.len() < count, "rows of other runs have no zeros");
+        (0..block.unknowns.len()).for_each(|at| assert!(sizes(at).any(|size| size > 0.0), "a column of zeros"));
+    });
+    compact.expect("derivatives");
     for unknown in 0..count {
         let column = || jacobian.iter().skip(unknown).step_by(count);
         let size = column().fold(0.0_f64, |size, value| size.max(value.abs()));

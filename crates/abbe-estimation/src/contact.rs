@@ -1,5 +1,7 @@
 //! Contact: commands of the linear axes at which the tip touches the artefact.
 
+use std::cell::LazyCell;
+
 use abbe_core::{
     AxisKind, CHUNK, Contact, EquationIndex, Error, Evaluation, IndexRange, KinematicModel, ObservationSet, PoseTable,
     Problem, RankPoint, Result, Row, RowIndex, SetIndex, Variable, in_parallel,
@@ -262,27 +264,34 @@ fn move_by_step(
         return Ok(0.0); // Orientations are not touched into place by linear axes.
     }
     let count = linear.count();
-    let mut gradients = gradients(work, set, rows, count);
-    only_moving(set, rows, linear, goal, &mut gradients);
+    let inputs = set.inputs_with(machine_values);
+    // Most artefacts that are touched know their contact tips, and need none.
+    let gradients = LazyCell::new(|| {
+        let mut gradients = gradients(work, set, rows, count);
+        only_moving(set, rows, linear, goal, &mut gradients);
+        gradients
+    });
     let (mut equation, mut entry, mut pose, mut largest) = (0, 0, 0, 0.0_f64);
     let mut steps: Vec<f64> = Vec::new();
     for &index in rows {
         let row = row_of(set, index);
         let equations = equation..equation + row.equations;
-        let gradient = &gradients[entry * count..(entry + row.equations * row.poses) * count];
-        let residuals = &work.equations.residuals()[equations.clone()];
-        let step = match goal {
-            Goal::Residuals(errors) => smallest_step(gradient, residuals, &errors[equations]),
-            Goal::Contact if touched => {
-                let known =
-                    if row.poses == 1 { contact_step(set, machine_values, index, pose, work, count)? } else { None };
-                known.or_else(|| smallest_step(gradient, residuals, &vec![0.0; row.equations]))
-            }
-            Goal::Contact => {
-                nominal_residuals(set, index).and_then(|wanted| smallest_step(gradient, residuals, &wanted))
-            }
+        let to = |wanted: &[f64]| {
+            let gradient = &gradients[entry * count..(entry + row.equations * row.poses) * count];
+            smallest_step(gradient, &work.equations.residuals()[equations.clone()], wanted)
         };
-        steps.extend(step.unwrap_or_else(|| vec![0.0; row.poses * count]));
+        let step = match goal {
+            Goal::Residuals(errors) => to(&errors[equations.clone()]),
+            Goal::Contact if touched => {
+                let known = if row.poses == 1 { contact_step(set, &inputs, index, pose, work, count)? } else { None };
+                known.or_else(|| to(&vec![0.0; row.equations]))
+            }
+            Goal::Contact => nominal_residuals(set, index).and_then(|wanted| to(&wanted)),
+        };
+        match step {
+            Some(step) => steps.extend(step),
+            None => steps.extend(std::iter::repeat_n(0.0, row.poses * count)),
+        }
         equation += row.equations;
         entry += row.equations * row.poses;
         pose += row.poses;
@@ -336,16 +345,19 @@ fn nominal_residuals(set: &ObservationSet, index: RowIndex) -> Option<Vec<f64>> 
 /// The step that brings the tip of a row with one pose to nominal contact; none if the artefact gives no contact tip.
 fn contact_step(
     set: &ObservationSet,
-    machine_values: &[f64],
+    inputs: &[f64],
     row: RowIndex,
     pose: usize,
     work: &Evaluation,
     count: usize,
 ) -> Result<Option<Vec<f64>>> {
     let tip = work.poses.positions[pose];
-    let inputs = set.inputs_with(machine_values);
-    let Some(contact) = set.observations.contact_tip(row, tip, &set.own, &inputs)? else { return Ok(None) };
+    let Some(contact) = set.observations.contact_tip(row, tip, &set.own, inputs)? else { return Ok(None) };
     let derivatives = &work.poses.position_derivatives[pose * count..(pose + 1) * count];
+    let missing = Vector3::from(contact) - Vector3::from(tip);
+    if let Some(step) = smallest_step_of_three(count, |axis, command| derivatives[command][axis], missing) {
+        return Ok(Some(step));
+    }
     let gradient: Vec<f64> = (0..3).flat_map(|axis| derivatives.iter().map(move |by| by[axis])).collect();
     Ok(smallest_step(&gradient, &tip, &contact))
 }
@@ -361,10 +373,14 @@ fn smallest_step(gradient: &[f64], values: &[f64], wanted: &[f64]) -> Option<Vec
         let factor = (square > NO_EFFECT * NO_EFFECT).then_some((wanted - value) / square)?;
         return Some(gradient.iter().map(|slope| slope * factor).collect());
     }
-    if let Some(step) = smallest_step_of_three(gradient, values, wanted) {
-        return Some(step);
+    let count = gradient.len() / values.len();
+    if let ([a, b, c], [x, y, z]) = (values, wanted) {
+        let entry = |value: usize, variable: usize| gradient[value * count + variable];
+        if let Some(step) = smallest_step_of_three(count, entry, Vector3::new(x - a, y - b, z - c)) {
+            return Some(step);
+        }
     }
-    let gradient = DMatrix::from_row_slice(values.len(), gradient.len() / values.len(), gradient);
+    let gradient = DMatrix::from_row_slice(values.len(), count, gradient);
     let missing = DVector::from_iterator(values.len(), wanted.iter().zip(values).map(|(wanted, value)| wanted - value));
     // A singular value decomposition of values that are not finite would not end.
     let finite = gradient.iter().chain(&missing).all(|value| value.is_finite());
@@ -372,18 +388,20 @@ fn smallest_step(gradient: &[f64], values: &[f64], wanted: &[f64]) -> Option<Vec
     Some(step.as_slice().to_vec())
 }
 
-/// [`smallest_step`] to three values by normal equations, which is enough for most rows; none if they are too close to
-/// singular.
-fn smallest_step_of_three(gradient: &[f64], values: &[f64], wanted: &[f64]) -> Option<Vec<f64>> {
-    let ([a, b, c], [x, y, z]) = (values, wanted) else { return None };
-    let rows: Vec<&[f64]> = gradient.chunks_exact(gradient.len() / 3).collect();
-    let product = |i: usize, j: usize| rows[i].iter().zip(rows[j]).map(|(one, other)| one * other).sum::<f64>();
+/// [`smallest_step`] by normal equations for three values that miss something, which is enough for most rows; none if they are too
+/// close to singular. `gradient` is the derivative of a value to one of `count` variables.
+fn smallest_step_of_three(
+    count: usize,
+    gradient: impl Fn(usize, usize) -> f64,
+    missing: Vector3<f64>,
+) -> Option<Vec<f64>> {
+    let product = |i: usize, j: usize| (0..count).map(|k| gradient(i, k) * gradient(j, k)).sum::<f64>();
     let normal = Matrix3::from_fn(product);
     if normal.determinant() <= 1e-3 * (normal.trace() / 3.0).powi(3) {
         return None;
     }
-    let factors = normal.try_inverse()? * Vector3::new(x - a, y - b, z - c);
-    Some((0..rows[0].len()).map(|k| (0..3).map(|i| factors[i] * rows[i][k]).sum()).collect())
+    let factors = normal.try_inverse()? * missing;
+    Some((0..count).map(|k| (0..3).map(|i| factors[i] * gradient(i, k)).sum()).collect())
 }
 
 /// Derivatives of every equation to the linear axes of every pose of its row: equations x poses x axes.

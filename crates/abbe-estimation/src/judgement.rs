@@ -169,6 +169,9 @@ fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<Vec<f64>> {
         }
     }
     let mut squares = vec![0.0; problem.unknowns.len()];
+    let mut squares_of_machine = vec![0.0; machine.len()];
+    let angles = machine.iter().map(|&(column, _)| f64::from(problem.unknowns[column].unit == Unit::RAD));
+    let angles: Vec<f64> = angles.collect();
     let (mut work, mut poses) = (Evaluation::default(), Poses::default());
     let mut first = EquationIndex(0);
     for (index, set) in SetIndex::enumerate(&problem.sets) {
@@ -187,14 +190,10 @@ fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<Vec<f64>> {
                 .map(|equation| kept.map_or(1.0, |kept| kept[equation]) / uncertainties[equation])
                 .collect();
             let levers = Levers::new(set, rows, &work);
-            for (place, (column, factor)) in machine.iter().enumerate() {
-                let angle = f64::from(problem.unknowns[*column].unit == Unit::RAD);
-                let moves = |pose: usize| {
-                    let at = pose * machine.len() + place;
-                    (size(&poses.position_derivatives[at]), poses.rotation_derivatives.get(at).map_or(angle, size))
-                };
-                let terms = levers.terms(moves).zip(&weights);
-                squares[*column] += terms.map(|(term, weight)| (term * factor * weight).powi(2)).sum::<f64>();
+            for (equation, weight) in weights.iter().enumerate() {
+                let terms = levers.machine_terms(equation, &poses, &angles);
+                let squares = squares_of_machine.iter_mut().zip(terms);
+                squares.for_each(|(square, term)| *square += (term * weight).powi(2));
             }
             for &(equation, unknown, derivative) in work.equations.by_own() {
                 if let Some(column) = own[unknown] {
@@ -204,6 +203,9 @@ fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<Vec<f64>> {
             }
             first += weights.len();
         }
+    }
+    for ((column, factor), square) in machine.into_iter().zip(squares_of_machine) {
+        squares[column] += factor * factor * square;
     }
     Ok(squares.into_iter().map(f64::sqrt).collect())
 }
@@ -242,15 +244,23 @@ impl Levers {
         Self { pairs, reach: work.poses.positions.iter().map(size).collect() }
     }
 
-    /// For every equation the largest that a unit of a parameter could do, given how far it moves and turns each pose.
-    fn terms(&self, moves: impl Fn(usize) -> (f64, f64)) -> impl Iterator<Item = f64> {
-        self.pairs.iter().map(move |poses| {
-            let term = |&(pose, by_position, by_rotation): &(usize, f64, f64)| {
-                let (moved, turned) = moves(pose);
-                by_position * (moved + self.reach[pose] * turned) + by_rotation * turned
-            };
-            poses.iter().map(term).sum()
-        })
+    /// The largest that a unit of each parameter of the machine could do to an equation, given the derivatives of the poses to them;
+    /// without those of rotations `angles` says how far each turns.
+    fn machine_terms(&self, equation: usize, poses: &Poses, angles: &[f64]) -> Vec<f64> {
+        let mut terms = vec![0.0; angles.len()];
+        for &(pose, by_position, by_rotation) in &self.pairs[equation] {
+            let (range, lever) =
+                (pose * terms.len()..(pose + 1) * terms.len(), by_position * self.reach[pose] + by_rotation);
+            let moved = poses.position_derivatives[range.clone()].iter().map(|by| by_position * size(by));
+            terms.iter_mut().zip(moved).for_each(|(term, moved)| *term += moved);
+            match poses.rotation_derivatives.get(range) {
+                Some(turned) => {
+                    terms.iter_mut().zip(turned).for_each(|(term, turned)| *term += lever * size(turned));
+                }
+                None => terms.iter_mut().zip(angles).for_each(|(term, angle)| *term += lever * angle),
+            }
+        }
+        terms
     }
 
     /// The largest that a unit of an own unknown could do to an equation: that of a point, or of a turn.

@@ -64,6 +64,7 @@ pub fn wavelengths(problem: &Problem, shape: usize) -> Result<Vec<Wavelength>> {
     let Some(travel) = keep_telling_rows(&mut waves, info.axes[axis].status)? else { return Ok(Vec::new()) };
     let redundancy = waves.equations().saturating_sub(waves.unknowns.len()).max(1) as f64;
     let nominal = info.nominal[shape];
+    let mut waves = of_waves_alone(&waves)?;
     let mut tried_at = |frequency: f64| -> Result<Option<Wavelength>> {
         let value = 1.0 / frequency;
         waves.machine_values[shape] = value;
@@ -107,6 +108,23 @@ pub fn wavelengths(problem: &Problem, shape: usize) -> Result<Vec<Wavelength>> {
         order.then(if one.alike && other.alike { by_place } else { by_cost })
     });
     Ok(minima)
+}
+
+/// The same problem for a machine without errors, which is evaluated in a fraction of the time, with the same residuals. What
+/// amplitudes do there differs by products of errors.
+fn of_waves_alone(waves: &Problem) -> Result<Problem> {
+    let info = waves.model.info();
+    let mut alone = waves.clone();
+    for (value, (parameter, nominal)) in
+        alone.machine_values.iter_mut().zip(info.parameters.iter().zip(info.without_errors()))
+    {
+        if parameter.role != ParameterRole::Shape {
+            *value = nominal;
+        }
+    }
+    let (as_is, without) = (waves.residuals(&waves.start())?, alone.residuals(&alone.start())?);
+    let errors: Vec<f64> = as_is.iter().zip(without).map(|(as_is, without)| as_is - without).collect();
+    Ok(alone.disturbed(&errors))
 }
 
 /// The minimum between two frequencies, from one between them on (golden section).

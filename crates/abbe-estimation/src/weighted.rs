@@ -1,8 +1,8 @@
 //! A problem as independent rows of unit variance: residuals divided by their standard uncertainties. Correlated residuals
 //! are transformed to uncorrelated ones.
 
-use abbe_core::{CovarianceBlock, EquationIndex, Error, IndexRange, Problem, Result};
-use abbe_numerics::{Accumulator, Factor, LeastSquares};
+use abbe_core::{CompactBlock, CovarianceBlock, EquationIndex, Error, IndexRange, Problem, Result};
+use abbe_numerics::{Accumulator, Factor, LeastSquares, Sink};
 
 /// A problem in weighted rows.
 pub struct Weighted<'a> {
@@ -85,14 +85,12 @@ impl<'a> Weighted<'a> {
         let count = self.unknowns();
         let mut accumulators: Vec<Accumulator> =
             ranges.iter().map(|range| Accumulator::new(count, range.len())).collect();
-        self.linearise(x, &mut |first, residuals, derivatives| {
-            for (row, residual) in residuals.iter().enumerate() {
-                let equation = EquationIndex(first + row);
+        self.linearise_compact(x, |block| {
+            for (equation, residual, line) in block.lines() {
                 let weight = weights.map_or(1.0, |weights| weights[equation].sqrt());
-                let line = &derivatives[row * count..(row + 1) * count];
                 for (range, accumulator) in ranges.iter().zip(&mut accumulators) {
                     if range.contains(equation) {
-                        accumulator.push(line, *residual, weight);
+                        accumulator.push_some(block.unknowns, line, residual, weight);
                     }
                 }
             }
@@ -128,39 +126,60 @@ impl LeastSquares for Weighted<'_> {
         self.constraints[row]
     }
 
-    fn linearise(&self, x: &[f64], sink: &mut dyn FnMut(usize, &[f64], &[f64])) -> Result<()> {
-        let count = self.unknowns();
-        let (mut residuals, mut derivatives) = (Vec::new(), Vec::new());
+    fn linearise(&self, x: &[f64], sink: Sink<'_>) -> Result<()> {
+        let mut derivatives = Vec::new();
+        self.linearise_compact(x, |block| {
+            block.fill(self.unknowns(), &mut derivatives);
+            sink(block.first.0, block.residuals, &derivatives);
+        })
+    }
+
+    fn factor(&self, x: &[f64], weights: Option<&[f64]>) -> Result<Factor> {
+        Weighted::factor(self, x, weights)
+    }
+}
+
+impl Weighted<'_> {
+    /// The rows at x without the columns that are zero in a whole block: residuals and derivatives divided by the standard
+    /// uncertainties.
+    fn linearise_compact(&self, x: &[f64], mut sink: impl FnMut(CompactBlock<'_>)) -> Result<()> {
+        let own = self.problem.unknowns.len();
+        let more = own..self.unknowns();
+        let (mut residuals, mut derivatives, mut unknowns) = (Vec::new(), Vec::new(), Vec::new());
         // Rows of correlated blocks are kept until their block is complete: derivatives and, last, the residual.
-        let width = count + 1;
+        let width = self.unknowns() + 1;
         let mut waiting: Vec<Vec<f64>> =
             self.blocks.iter().map(|block| vec![0.0; block.equations.len() * width]).collect();
         let mut broken = None;
-        self.problem.linearise(x, |block| {
+        self.problem.linearise_compact(x, |block| {
+            unknowns.clear();
+            unknowns.extend(block.unknowns.iter().copied().chain(more.clone()));
+            let mut first = block.first;
             for (equation, residual, line) in block.lines() {
                 // To test all values is faster than to stop at the first one.
                 if line.iter().fold(!residual.is_finite(), |bad, derivative| bad | !derivative.is_finite()) {
                     broken.get_or_insert(equation);
                 }
-                let more = self.columns.iter().map(|column| column[equation]);
+                let values = line.iter().copied().chain(self.columns.iter().map(|column| column[equation]));
                 if let Some((block, place)) = self.place.get(equation.0).copied().flatten() {
-                    let values = line.iter().copied().chain(more);
                     let waiting = &mut waiting[block][place * width..(place + 1) * width];
-                    waiting.iter_mut().zip(values.chain([residual])).for_each(|(waiting, value)| *waiting = value);
+                    unknowns.iter().zip(values).for_each(|(&unknown, value)| waiting[unknown] = value);
+                    waiting[width - 1] = residual;
                     if !residuals.is_empty() {
-                        sink(equation.0 - residuals.len(), &residuals, &derivatives);
-                        residuals.clear();
-                        derivatives.clear();
+                        let (residuals, derivatives) = (residuals.as_slice(), derivatives.as_slice());
+                        sink(CompactBlock { first, residuals, unknowns: &unknowns, derivatives });
                     }
+                    residuals.clear();
+                    derivatives.clear();
+                    first = EquationIndex(equation.0 + 1);
                 } else {
                     let uncertainty = self.uncertainties[equation];
                     residuals.push(residual / uncertainty);
-                    derivatives.extend(line.iter().map(|derivative| derivative / uncertainty));
-                    derivatives.extend(more.map(|derivative| derivative / uncertainty));
+                    derivatives.extend(values.map(|value| value / uncertainty));
                 }
             }
             if !residuals.is_empty() {
-                sink(block.equations().end().0 - residuals.len(), &residuals, &derivatives);
+                sink(CompactBlock { first, residuals: &residuals, unknowns: &unknowns, derivatives: &derivatives });
                 residuals.clear();
                 derivatives.clear();
             }
@@ -168,10 +187,13 @@ impl LeastSquares for Weighted<'_> {
         if let Some(equation) = broken {
             return Err(not_finite(self.problem, equation));
         }
+        unknowns.clear();
+        unknowns.extend(0..self.unknowns());
         for (block, rows) in self.blocks.iter().zip(&mut waiting) {
             block.whiten(rows, width);
-            for (&equation, row) in block.equations.iter().zip(rows.chunks_exact(width)) {
-                sink(equation.0, &row[count..], &row[..count]);
+            for (&first, row) in block.equations.iter().zip(rows.chunks_exact(width)) {
+                let (derivatives, residuals) = row.split_at(width - 1);
+                sink(CompactBlock { first, residuals, unknowns: &unknowns, derivatives });
             }
         }
         Ok(())

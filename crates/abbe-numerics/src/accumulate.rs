@@ -1,7 +1,7 @@
 //! Reduces the rows of a least squares problem to their triangular factor.
 
+use faer::Mat;
 use faer::linalg::solvers::Qr;
-use faer::{Mat, MatRef};
 
 use crate::factor::Factor;
 use crate::vector::norm_of;
@@ -22,15 +22,25 @@ const FEW: usize = 64;
 /// the buffer only.
 pub struct Accumulator {
     unknowns: usize,
+    /// The indices of all unknowns.
+    all: Vec<usize>,
     /// Most rows of the buffer.
     capacity: usize,
     /// Derivatives and residual of rows, one row after another.
     buffer: Vec<f64>,
+    /// What the rows of the buffer have places for.
+    parts: Vec<Part>,
     filled: usize,
     /// The columns that are not zero in the first half of the buffer.
     present: Option<Vec<bool>>,
     rows: usize,
     done: Vec<Triangle>,
+}
+
+/// Rows of the buffer with derivatives to the same unknowns.
+struct Part {
+    unknowns: Vec<usize>,
+    rows: usize,
 }
 
 /// The factor of some rows, over the columns that are not zero in them.
@@ -74,8 +84,10 @@ impl Accumulator {
         };
         Self {
             unknowns,
+            all: (0..unknowns).collect(),
             capacity,
             buffer: Vec::with_capacity(capacity * width),
+            parts: Vec::new(),
             filled: 0,
             present: None,
             rows: 0,
@@ -85,8 +97,33 @@ impl Accumulator {
 
     /// Adds one row, multiplied by `weight` (the square root of its statistical weight).
     pub fn push(&mut self, derivatives: &[f64], residual: f64, weight: f64) {
-        if self.filled == self.capacity || (self.filled >= self.capacity / 2 && self.is_of_others(derivatives)) {
+        let all = std::mem::take(&mut self.all);
+        self.push_some(&all, derivatives, residual, weight);
+        self.all = all;
+    }
+
+    /// Adds one row, multiplied by `weight`, that depends on some unknowns only: `unknowns` has their indices, ascending,
+    /// and `derivatives` one derivative for each.
+    ///
+    /// ```
+    /// use abbe_numerics::Accumulator;
+    ///
+    /// let (mut one, mut other) = (Accumulator::new(3, 4), Accumulator::new(3, 4));
+    /// for [first, last, residual] in [[1.0, 2.0, 0.5], [1.0, 0.5, 0.3], [0.5, 3.0, 0.1], [2.0, 1.0, 0.0]] {
+    ///     one.push(&[first, 0.0, last], residual, 1.0);
+    ///     other.push_some(&[0, 2], &[first, last], residual, 1.0);
+    /// }
+    /// assert_eq!(one.finish().norms(), other.finish().norms());
+    /// ```
+    pub fn push_some(&mut self, unknowns: &[usize], derivatives: &[f64], residual: f64, weight: f64) {
+        if self.filled == self.capacity
+            || (self.filled >= self.capacity / 2 && self.is_of_others(unknowns, derivatives))
+        {
             self.flush();
+        }
+        match self.parts.last_mut().filter(|part| part.unknowns == unknowns) {
+            Some(part) => part.rows += 1,
+            None => self.parts.push(Part { unknowns: unknowns.to_vec(), rows: 1 }),
         }
         self.buffer.extend(derivatives.iter().map(|derivative| derivative * weight));
         self.buffer.push(residual * weight);
@@ -95,22 +132,66 @@ impl Accumulator {
     }
 
     /// Whether a row has unknowns that the buffer does not have: the first row of the next run.
-    fn is_of_others(&mut self, derivatives: &[f64]) -> bool {
+    fn is_of_others(&mut self, unknowns: &[usize], derivatives: &[f64]) -> bool {
         if self.unknowns <= FEW {
             return false;
         }
-        let present = self.present.get_or_insert_with(|| present(&self.buffer, self.unknowns));
-        derivatives.iter().zip(present).any(|(derivative, present)| *derivative != 0.0 && !*present)
+        let present = self.present.take().unwrap_or_else(|| self.present());
+        let mut entries = unknowns.iter().zip(derivatives);
+        let of_others = entries.any(|(&unknown, derivative)| *derivative != 0.0 && !present[unknown]);
+        self.present = Some(present);
+        of_others
+    }
+
+    /// The parts of the buffer with their rows.
+    fn lines(&self) -> impl Iterator<Item = (&Part, &[f64])> {
+        let mut rest = self.buffer.as_slice();
+        self.parts.iter().map(move |part| {
+            let (own, others) = rest.split_at(part.rows * (part.unknowns.len() + 1));
+            rest = others;
+            (part, own)
+        })
+    }
+
+    /// Which unknowns have derivatives in the buffer that are not zero.
+    fn present(&self) -> Vec<bool> {
+        let mut present = vec![false; self.unknowns];
+        for (part, lines) in self.lines() {
+            let mut sizes = vec![0.0_f64; part.unknowns.len()];
+            for line in lines.chunks_exact(part.unknowns.len() + 1) {
+                // This sum is faster than a test of each value. NaN counts as not zero.
+                sizes.iter_mut().zip(line).for_each(|(size, value)| *size += value.abs());
+            }
+            part.unknowns.iter().zip(sizes).for_each(|(&unknown, size)| present[unknown] |= size != 0.0);
+        }
+        present
+    }
+
+    /// The rows of the buffer over these columns, the residuals last.
+    fn matrix(&self, columns: &[usize]) -> Mat<f64> {
+        let mut place = vec![None; self.unknowns];
+        columns.iter().enumerate().for_each(|(index, &column)| place[column] = Some(index));
+        let mut rows = Mat::zeros(self.filled, columns.len() + 1);
+        let mut first = 0;
+        for (part, lines) in self.lines() {
+            let width = part.unknowns.len() + 1;
+            let places = part.unknowns.iter().map(|&unknown| place[unknown]).chain([Some(columns.len())]);
+            for (from, to) in places.enumerate().filter_map(|(from, to)| Some((from, to?))) {
+                let column = &mut rows.col_as_slice_mut(to)[first..first + part.rows];
+                column.iter_mut().zip(lines.chunks_exact(width)).for_each(|(entry, line)| *entry = line[from]);
+            }
+            first += part.rows;
+        }
+        rows
     }
 
     /// Replaces the rows in the buffer by their triangular factor.
     fn flush(&mut self) {
-        let present = present(&self.buffer, self.unknowns);
+        let present = self.present();
         let columns: Vec<usize> = (0..self.unknowns).filter(|&column| present[column]).collect();
-        let width = self.unknowns + 1;
-        let at = |column: usize| columns.get(column).copied().unwrap_or(self.unknowns);
-        let rows = Mat::from_fn(self.filled, columns.len() + 1, |row, column| self.buffer[row * width + at(column)]);
+        let rows = self.matrix(&columns);
         self.buffer.clear();
+        self.parts.clear();
         self.present = None;
         self.filled = 0;
         self.done.push(Triangle::of(columns, &rows));
@@ -122,9 +203,9 @@ impl Accumulator {
 
     /// The factor of all rows.
     pub fn finish(mut self) -> Factor {
-        let all = (0..self.unknowns).collect();
+        let all: Vec<usize> = std::mem::take(&mut self.all);
         if self.done.is_empty() {
-            let rows = MatRef::from_row_major_slice(&self.buffer, self.filled, self.unknowns + 1).to_owned();
+            let rows = self.matrix(&all);
             return self.factor(&Triangle::of(all, &rows));
         }
         self.flush();
@@ -165,16 +246,6 @@ impl Accumulator {
         let norms = (0..n).map(|column| norm_of((0..=column).map(|row| values[(row, column)]))).collect();
         Factor::new(values, right, norms, triangle.entry(n, n).powi(2), self.rows)
     }
-}
-
-/// Which columns are not zero in some rows.
-fn present(rows: &[f64], unknowns: usize) -> Vec<bool> {
-    let mut sizes = vec![0.0_f64; unknowns];
-    for row in rows.chunks_exact(unknowns + 1) {
-        // This sum is faster than a test of each value. NaN counts as not zero.
-        sizes.iter_mut().zip(row).for_each(|(size, value)| *size += value.abs());
-    }
-    sizes.into_iter().map(|size| size != 0.0).collect()
 }
 
 /// The factor of all rows of some triangles, over `columns`, which contain the columns of all triangles.

@@ -109,16 +109,14 @@ impl Factor {
         Some(accumulator.finish().of_rows(factors.iter().map(|factor| factor.rows).sum()))
     }
 
-    /// The factor of the same rows with zeros in the columns of some unknowns.
+    /// The factor of the same rows with zeros in the columns of some unknowns. What is left of a triangle is one.
     pub fn with_zeros(&self, zero: &[bool]) -> Self {
-        let mut accumulator = Accumulator::new(self.unknowns(), self.unknowns() + 1);
-        for row in 0..self.unknowns() {
-            let entry = |(unknown, zero): (usize, &bool)| if *zero { 0.0 } else { self.triangle[(row, unknown)] };
-            let line: Vec<f64> = zero.iter().enumerate().map(entry).collect();
-            accumulator.push(&line, self.right[row], 1.0);
+        let mut factor = self.clone();
+        for unknown in (0..self.unknowns()).filter(|&unknown| zero[unknown]) {
+            factor.triangle.col_as_slice_mut(unknown).fill(0.0);
+            factor.norms[unknown] = 0.0;
         }
-        accumulator.push(&vec![0.0; self.unknowns()], self.rest.sqrt(), 1.0);
-        accumulator.finish().of_rows(self.rows)
+        factor
     }
 
     /// The factor of the same rows without some unknowns.

@@ -43,6 +43,22 @@ pub trait LeastSquares {
     /// Calls `sink` with (first row, residuals, derivatives row by row) for all rows, both divided by the standard
     /// uncertainty of the row.
     fn linearise(&self, x: &[f64], sink: Sink<'_>) -> Result<(), Self::Error>;
+
+    /// The factor of all rows at x with these statistical weights (all 1 if there are none).
+    ///
+    /// A problem whose rows depend on few of its unknowns may be faster than [`linearise`](Self::linearise) is: it gives them to
+    /// [`Accumulator::push_some`].
+    fn factor(&self, x: &[f64], weights: Option<&[f64]>) -> Result<Factor, Self::Error> {
+        let unknowns = self.unknowns();
+        let mut accumulator = Accumulator::new(unknowns, self.rows());
+        self.linearise(x, &mut |first, residuals, derivatives| {
+            for (row, residual) in residuals.iter().enumerate() {
+                let weight = weights.map_or(1.0, |weights| weights[first + row].sqrt());
+                accumulator.push(&derivatives[row * unknowns..(row + 1) * unknowns], *residual, weight);
+            }
+        })?;
+        Ok(accumulator.finish())
+    }
 }
 
 /// Settings of the iteration, and the rule of convergence.
@@ -129,23 +145,6 @@ pub struct Solution {
     pub factor: Factor,
 }
 
-/// Factorises the problem at x with statistical weights (all 1 if there are none).
-pub(crate) fn factorise<P: LeastSquares + ?Sized>(
-    problem: &P,
-    x: &[f64],
-    weights: Option<&[f64]>,
-) -> Result<Factor, P::Error> {
-    let unknowns = problem.unknowns();
-    let mut accumulator = Accumulator::new(unknowns, problem.rows());
-    problem.linearise(x, &mut |first, residuals, derivatives| {
-        for (row, residual) in residuals.iter().enumerate() {
-            let weight = weights.map_or(1.0, |weights| weights[first + row].sqrt());
-            accumulator.push(&derivatives[row * unknowns..(row + 1) * unknowns], *residual, weight);
-        }
-    })?;
-    Ok(accumulator.finish())
-}
-
 /// Minimises the sum of squares from `start`; see [`Options`].
 ///
 /// Every step is that of the linearised problem, columns scaled, and is halved while it does not make the sum of squares smaller, or leads to where nothing can be evaluated.
@@ -165,7 +164,7 @@ pub fn solve_from<P: LeastSquares + ?Sized>(
 ) -> Result<Solution, P::Error> {
     let factor = match factor {
         Some(factor) => factor,
-        None => factorise(problem, start, None)?,
+        None => problem.factor(start, None)?,
     };
     let minimum = match (options.robust, options.near) {
         (Some(_), true) => Minimum { x: start.to_vec(), end: End::Converged, iterations: 0, last_step: 0.0, factor },
@@ -309,7 +308,7 @@ fn downhill<P: LeastSquares + ?Sized>(
         let mut trial = x.to_vec();
         trials += 1;
         add(&mut trial, step, part);
-        match factorise(problem, &trial, weights) {
+        match problem.factor(&trial, weights) {
             Ok(factor) => {
                 evaluated = true;
                 let differentiable = factor.norms().iter().all(|norm| norm.is_finite());

@@ -1,6 +1,6 @@
 //! The rounds of robust weights: MM estimation by weighted least squares, again and again.
 
-use crate::gauss_newton::{End, LeastSquares, Minimum, Options, Solution, add, factorise, minimise};
+use crate::gauss_newton::{End, LeastSquares, Minimum, Options, Solution, add, minimise};
 use crate::robust::{Robust, RobustReport, RowLoss, deviations, m_scale, prediction_variances, scale, studentised};
 
 /// Rounds of Huber's weights after which their scale is near enough to be held.
@@ -213,7 +213,7 @@ impl<P: LeastSquares + ?Sized> Rounds<'_, P> {
         if self.iterations >= ALL_ROUNDS * self.options.iterations {
             return Ok(Minimum { end: End::IterationLimit, ..from });
         }
-        let factor = match in_time(self.problem, factorise(self.problem, &from.x, Some(&self.weights)))? {
+        let factor = match in_time(self.problem, self.problem.factor(&from.x, Some(&self.weights)))? {
             Some(factor) => factor,
             None => return Ok(Minimum { end: End::TimeLimit, iterations: 0, last_step: f64::NAN, ..from }),
         };

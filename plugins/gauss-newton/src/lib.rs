@@ -248,15 +248,16 @@ impl GaussNewton {
             }
         }
         // A wave that has a position in every period is nothing but a constant: then the nominal one is the better start.
-        let by_search = Judgement::new(&found, None)?;
-        let by_nominal = Judgement::new(&nominal, None)?;
-        let (started, again) = match self.rank(by_search.factor()) < self.rank(by_nominal.factor()) {
-            true => {
+        let mut again = Judgement::new(&found, None)?;
+        let mut started = found;
+        let rank = self.rank(again.factor());
+        if rank < problem.unknowns.len() {
+            let by_nominal = Judgement::new(&nominal, None)?;
+            if rank < self.rank(by_nominal.factor()) {
                 remarks.clear();
-                (nominal, by_nominal)
+                (started, again) = (nominal, by_nominal);
             }
-            false => (found, by_search),
-        };
+        }
         let better = idle(again.factor()).len() < first.len();
         let (started, judgement) = if better { (Some(started), again) } else { (None, judged) };
         Ok(Judged { started, judgement, remarks })
@@ -264,16 +265,16 @@ impl GaussNewton {
 
     /// The number of directions that some rows determine.
     fn rank(&self, factor: &Factor) -> usize {
-        factor.singular_values().rank(self.settings.rank_tolerance)
+        let tolerance = self.settings.rank_tolerance;
+        match factor.is_surely_full_rank(tolerance) {
+            true => factor.unknowns(),
+            false => factor.singular_values().rank(tolerance),
+        }
     }
 
     /// The directions that some rows determine; none if they determine all.
     fn determined(&self, factor: &Factor) -> Option<Directions> {
-        let tolerance = self.settings.rank_tolerance;
-        if factor.is_surely_full_rank(tolerance) {
-            return None;
-        }
-        let rank = factor.singular_values().rank(tolerance);
+        let rank = self.rank(factor);
         (rank < factor.unknowns()).then(|| factor.spectrum().determined(rank))
     }
 

@@ -74,6 +74,17 @@ impl SerialChain {
         sorted
     }
 
+    /// The slots with errors that the wanted variables change.
+    pub fn slots_of(&self, wanted: &Wanted) -> Vec<bool> {
+        let mut slots = vec![false; self.chain.slots()];
+        let bases = wanted.arguments.iter().flat_map(|argument| &argument.bases);
+        let of_arguments = bases.flat_map(|&basis| &self.bases[basis].coefficients);
+        for (_, place) in wanted.coefficients.iter().chain(of_arguments) {
+            slots[place.slot] = true;
+        }
+        slots
+    }
+
     /// The slopes of errors to the wanted arguments at a pose: derivatives of position and of rotation follow from them.
     pub fn slopes(&self, wanted: &mut Wanted, at: At<'_>, (each, slopes): &mut Buffers) {
         for argument in &mut wanted.arguments {

@@ -337,16 +337,13 @@ impl KinematicModel for SerialChain {
         let mut work = self.work();
         let mut buffers = (vec![0.0; self.functions], Vec::new());
         let used = self.in_use(values, wanted);
-        let mut slots = vec![false; self.chain.slots()];
-        for (_, place) in used.iter().flat_map(|&basis| &self.bases[basis].coefficients) {
-            slots[place.slot] = true;
-        }
+        let mut sorted = self.sorted(wanted, &used);
+        let slots = self.slots_of(&sorted);
         let derivatives = match (wanted.is_empty(), orientation) {
             (true, _) => Derivatives::None,
             (_, false) => Derivatives::OfPosition(&slots),
             (_, true) => Derivatives::OfPositionAndRotation(&slots),
         };
-        let mut sorted = self.sorted(wanted, &used);
         let terms = self.terms(&used, values);
         for (index, status) in statuses.chunks_exact(width).enumerate() {
             work.errors.fill([0.0; 6]);

@@ -33,11 +33,51 @@ impl Block<'_> {
 
     /// Its equations, each with its residual and its derivatives.
     pub fn lines(&self) -> impl Iterator<Item = (EquationIndex, f64, &[f64])> {
-        let unknowns = self.jacobian.len() / self.residuals.len().max(1);
-        self.equations().zip(self.residuals).enumerate().map(move |(line, (equation, residual))| {
-            (equation, *residual, &self.jacobian[line * unknowns..(line + 1) * unknowns])
-        })
+        lines(self.first, self.residuals, self.jacobian)
     }
+}
+
+/// Residuals and derivatives of some equations of a problem, without the columns that are zero in all of them.
+///
+/// The rows of a run depend on a part of the unknowns: of hundreds, some tens.
+#[derive(Debug)]
+pub struct CompactBlock<'a> {
+    /// The first equation of the block.
+    pub first: EquationIndex,
+    /// Residuals, mm or rad.
+    pub residuals: &'a [f64],
+    /// The indices of the unknowns that the derivatives are to, ascending. Derivatives to all others are zero.
+    pub unknowns: &'a [usize],
+    /// Derivatives, equations x these unknowns, row by row.
+    pub derivatives: &'a [f64],
+}
+
+impl CompactBlock<'_> {
+    /// Its equations, each with its residual and its derivatives to the unknowns of the block.
+    pub fn lines(&self) -> impl Iterator<Item = (EquationIndex, f64, &[f64])> {
+        lines(self.first, self.residuals, self.derivatives)
+    }
+
+    /// Its derivatives to all of `count` unknowns, equations x unknowns, row by row.
+    pub fn fill(&self, count: usize, jacobian: &mut Vec<f64>) {
+        jacobian.clear();
+        jacobian.resize(self.residuals.len() * count, 0.0);
+        for ((_, _, derivatives), line) in self.lines().zip(jacobian.chunks_exact_mut(count.max(1))) {
+            self.unknowns.iter().zip(derivatives).for_each(|(&unknown, derivative)| line[unknown] = *derivative);
+        }
+    }
+}
+
+fn lines<'a>(
+    first: EquationIndex,
+    residuals: &'a [f64],
+    derivatives: &'a [f64],
+) -> impl Iterator<Item = (EquationIndex, f64, &'a [f64])> {
+    let width = derivatives.len() / residuals.len().max(1);
+    IndexRange::new(first, residuals.len())
+        .zip(residuals)
+        .enumerate()
+        .map(move |(line, (equation, residual))| (equation, *residual, &derivatives[line * width..(line + 1) * width]))
 }
 
 impl Problem {
@@ -62,6 +102,15 @@ impl Problem {
     ///
     /// If there is much to do and a core is free, the next blocks are evaluated while `sink` processes the last one.
     pub fn linearise(&self, x: &[f64], mut sink: impl FnMut(Block<'_>)) -> Result<()> {
+        let mut jacobian = Vec::new();
+        self.linearise_compact(x, |block| {
+            block.fill(self.unknowns.len(), &mut jacobian);
+            sink(Block { first: block.first, residuals: block.residuals, jacobian: &jacobian });
+        })
+    }
+
+    /// The same without the columns that are zero in a whole block.
+    pub fn linearise_compact(&self, x: &[f64], mut sink: impl FnMut(CompactBlock<'_>)) -> Result<()> {
         let at = self.with_values(x);
         let columns = Columns::of(self);
         let chunks: Vec<(SetIndex, &[RowIndex])> = SetIndex::enumerate(&at.sets)
@@ -69,8 +118,9 @@ impl Problem {
             .collect();
         let mut first = EquationIndex(0);
         let mut take = |linear: &Linearised| {
-            sink(Block { first, residuals: &linear.residuals, jacobian: &linear.jacobian });
-            first += linear.residuals.len();
+            let Linearised { residuals, unknowns, derivatives } = linear;
+            sink(CompactBlock { first, residuals, unknowns, derivatives });
+            first += residuals.len();
         };
         let threads = self.threads(self.unknowns.len());
         if threads > 1 && at.linearise_on(threads, &columns, &chunks, &mut take)? {
@@ -148,9 +198,9 @@ impl Problem {
         let equations = work.equations.residuals.len();
         out.residuals.clear();
         out.residuals.extend_from_slice(&work.equations.residuals);
-        out.jacobian.clear();
-        out.jacobian.resize(equations * count, 0.0);
-        let jacobian = &mut out.jacobian;
+        let mut jacobian = std::mem::take(&mut work.jacobian);
+        jacobian.clear();
+        jacobian.resize(equations * count, 0.0);
         work.chain(set, rows, columns.wanted.len(), |equation, _, derivatives, weight| {
             if *weight == [0.0; 3] {
                 return;
@@ -169,6 +219,8 @@ impl Problem {
                 jacobian[equation * count + column] += factor * derivative;
             }
         }
+        out.keep_columns(&jacobian, count);
+        work.jacobian = jacobian;
         Ok(())
     }
 
@@ -285,11 +337,29 @@ impl Columns {
     }
 }
 
-/// Residuals and derivatives (equations x unknowns, row by row) of some rows.
+/// Residuals and derivatives of some rows, as in a [`CompactBlock`].
 #[derive(Default)]
 struct Linearised {
     residuals: Vec<f64>,
-    jacobian: Vec<f64>,
+    unknowns: Vec<usize>,
+    derivatives: Vec<f64>,
+}
+
+impl Linearised {
+    /// Takes the columns of a matrix (row by row, `count` columns) that are not zero.
+    fn keep_columns(&mut self, jacobian: &[f64], count: usize) {
+        let mut sizes = vec![0.0; count];
+        for line in jacobian.chunks_exact(count.max(1)) {
+            // This sum is faster than a test of each value. NaN counts as not zero.
+            sizes.iter_mut().zip(line).for_each(|(size, value): (&mut f64, _)| *size += value.abs());
+        }
+        self.unknowns.clear();
+        self.unknowns.extend((0..count).filter(|&column| sizes[column] != 0.0));
+        self.derivatives.clear();
+        for line in jacobian.chunks_exact(count.max(1)) {
+            self.derivatives.extend(self.unknowns.iter().map(|&column| line[column]));
+        }
+    }
 }
 
 /// Number of derivatives from which several threads save time.
@@ -309,6 +379,8 @@ pub struct Evaluation {
     pub poses: Poses,
     /// The equations, in the same order.
     pub equations: Equations,
+    /// Derivatives to all unknowns, equations x unknowns.
+    jacobian: Vec<f64>,
 }
 
 impl Evaluation {

@@ -22,7 +22,7 @@ use abbe_settings::{Error, Monitor, Result, Unit, matches};
 use considered::{candidates, check_constraints, consider_parameters, inputs};
 
 pub use considered::{Considered, Input, Prior};
-pub use linearise::{Block, CHUNK, Evaluation};
+pub use linearise::{Block, CHUNK, CompactBlock, Evaluation};
 pub use rows::{ObservationSet, RepeatedTogether};
 pub use tie::{DeclaredTie, Tie};
 

@@ -52,6 +52,47 @@ fn pieces_are_as_good_as_one() {
     assert!(worst < 1e-12, "{worst:e}");
 }
 
+/// Runs of rows, each with two unknowns of its own beside those of all.
+#[test]
+fn rows_of_some_unknowns_are_rows_with_zeros() {
+    const RUNS: usize = 40;
+    const ROWS: usize = 60;
+    const SHARED: usize = 20;
+    let (random, unknowns) = (&mut Random::new(7), SHARED + 2 * RUNS);
+    let (mut all, mut some) = (Accumulator::new(unknowns, RUNS * ROWS), Accumulator::new(unknowns, RUNS * ROWS));
+    for run in 0..RUNS {
+        let own: Vec<usize> = (0..SHARED).chain([SHARED + 2 * run, SHARED + 2 * run + 1]).collect();
+        for _ in 0..ROWS {
+            let derivatives: Vec<f64> = own.iter().map(|_| random.signed()).collect();
+            let (residual, mut line) = (random.signed(), vec![0.0; unknowns]);
+            own.iter().zip(&derivatives).for_each(|(&unknown, derivative)| line[unknown] = *derivative);
+            all.push(&line, residual, 0.7);
+            some.push_some(&own, &derivatives, residual, 0.7);
+        }
+    }
+    let off = difference(&all.finish(), &some.finish(), &vec![1.0; unknowns]);
+    assert!(off < 1e-12, "{off:e}");
+}
+
+#[test]
+fn zeros_in_a_factor_are_zeros_in_its_rows() {
+    let random = &mut Random::new(11);
+    let mut problem = Linear::random(random, 40, 6);
+    let zero = [false, true, false, false, true, false];
+    let factor = problem.factor(40).with_zeros(&zero);
+    problem.scale_columns(&zero.map(|zero| if zero { 0.0 } else { 1.0 }));
+    let direct = problem.factor(40);
+    assert_eq!(factor.singular_values().rank(1e-12), 4);
+    let same = |one: &[f64], other: &[f64]| {
+        let size = norm(other);
+        one.iter().zip(other).for_each(|(one, other)| assert!(close(*one, *other, size) < 1e-13, "{one} {other}"));
+    };
+    same(factor.norms(), direct.norms());
+    same(&factor.singular_values().values()[..4], &direct.singular_values().values()[..4]);
+    same(&factor.spectrum().step(4), &direct.spectrum().step(4));
+    same(&[factor.cost()], &[direct.cost()]);
+}
+
 #[test]
 fn a_factor_says_what_its_rows_say() {
     let mut worst = [0.0_f64; 6];
