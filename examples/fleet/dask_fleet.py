@@ -30,10 +30,15 @@ def main(manifest, batch="100"):
     # How many workers may die that had the same batch. The scheduler of another cluster has its own setting.
     dask.config.set({"distributed.scheduler.allowed-failures": 10})
     with Client() as client:
-        batches = range(0, jobs, batch)
-        waiting = [client.submit(batch_of_jobs, manifest, first, batch, pure=False, retries=10) for first in batches]
-        for done in as_completed(waiting):
-            done.result()
+        has_round = True
+        while has_round:
+            batches = range(0, jobs, batch)
+            submit = lambda first: client.submit(batch_of_jobs, manifest, first, batch, pure=False, retries=10)
+            for done in as_completed([submit(first) for first in batches]):
+                done.result()
+            # Estimates in shards have several rounds; all else is done.
+            told = subprocess.run([ABBE, "fleet", "next", manifest], stdout=subprocess.PIPE, text=True).stdout
+            has_round = told.startswith("a new round")
     return subprocess.run([ABBE, "fleet", "merge", manifest]).returncode
 
 

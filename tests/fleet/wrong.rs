@@ -318,4 +318,3 @@ fn files_of_others_stay() {
     let outside = fs::read_dir(at).expect("a folder").flatten().map(|entry| entry.file_name());
     assert!(outside.into_iter().all(|name| !name.to_string_lossy().contains("evil")));
 }
-
