@@ -126,7 +126,8 @@ impl Provider {
 
 /// What a function gives, which is asked once. The record of a built-in plugin is constant, so it cannot keep it.
 fn made(make: fn() -> Value) -> &'static Value {
-    static MADE: Mutex<BTreeMap<fn() -> Value, &'static Value>> = Mutex::new(BTreeMap::new());
+    type Values = BTreeMap<fn() -> Value, &'static Value>;
+    static MADE: Mutex<Values> = Mutex::new(BTreeMap::new());
     let mut made = MADE.lock().unwrap_or_else(PoisonError::into_inner);
     made.entry(make).or_insert_with(|| Box::leak(Box::new(make())))
 }

@@ -310,7 +310,7 @@ mod tests {
             },
         });
         let mut found = String::new();
-        list(schema, schema, 0, &mut found);
+        list(&schema, &schema, 0, &mut found);
         let expected = "- `nominal` (text, required): File.\n\
                         - `standard_uncertainty_um` (number, µm, default `0.5`): Of one touch.\n\
                         - `rows` (`touches` or `centres`, default `touches`)\n  \
@@ -328,7 +328,7 @@ mod tests {
         let list_of_lists = json!({ "type": "array", "items": { "$ref": "#/$defs/list" } });
         let schema = json!({ "$defs": { "node": node, "list": list_of_lists }, "properties": { "tree": { "$ref": "#/$defs/node" } } });
         let mut found = String::new();
-        list(schema, schema, 0, &mut found);
+        list(&schema, &schema, 0, &mut found);
         assert!(found.starts_with("- `tree` (map)\n  - `children` (list of maps)\n"), "{found}");
         assert!(found.contains("Lists of lists.") && found.len() < 100_000, "{}", found.len());
     }
