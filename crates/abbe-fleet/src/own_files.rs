@@ -1,7 +1,7 @@
 //! The files of merges in their folder: a merge replaces what an earlier one wrote, as long as nobody has changed it since.
 
 use std::collections::BTreeSet;
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
@@ -124,6 +124,8 @@ fn of_somebody(path: &Path) -> Error {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     fn put(folder: &Path, own: &mut OwnFiles, name: &str, content: &str) -> Result<()> {
