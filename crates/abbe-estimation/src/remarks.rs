@@ -119,7 +119,9 @@ fn planned(problem: &Problem) -> Vec<String> {
         let within = |most: f64| own.iter().filter(|residual| residual.abs() <= most).count();
         let (near, next) = (within(COMPUTED), within(10.0 * COMPUTED) - within(COMPUTED));
         let (least, part) = FEW_COMPUTED;
-        if near >= least && near as f64 >= part * own.len() as f64 && near > least + next / 3 {
+        // A plan as a whole is one that is looked at before it is measured.
+        let some = (least..own.len()).contains(&near) && near as f64 >= part * own.len() as f64;
+        if some && near > least + next / 3 {
             remarks.push(format!(
                 "{}: {near} of {} equations hold to 0.1 µm for the nominal machine: were these rows measured, or are they positions of a plan?",
                 set.name,
