@@ -666,25 +666,3 @@ fn truths_that_no_machine_has_are_refused() {
         small.write("recipe.yaml", &recipe);
     }
 }
-
-/// Positions of a plan that nobody has replaced by measured ones say that a machine has no errors.
-#[test]
-fn rows_that_were_planned_and_not_measured_are_told() {
-    let folder = temporary();
-    let recipe = Variant::of(&recipes()["first-steps"]);
-    let planned = simulate(&recipe, &json!({ "parameters": {} }), 1, &folder.path().join("planned"));
-    let lines = |file: &Path| -> Vec<String> { read(file).lines().map(str::to_owned).collect() };
-    let measured = lines(&recipe.path("touches", "path"));
-    let of_plan = lines(&planned.with_file_name("touches.csv"));
-    assert_eq!(measured.len(), of_plan.len());
-    for part in [0.0, 0.2, 0.7] {
-        // Some of the rows, evenly spread.
-        let taken = |row: usize| (row as f64 * part).floor() < ((row + 1) as f64 * part).floor();
-        let rows = (0..measured.len()).map(|row| if taken(row) { of_plan[row].clone() } else { measured[row].clone() });
-        let file = folder.path().join("touches.csv");
-        write(&file, &(rows.collect::<Vec<_>>().join("\n") + "\n"));
-        let written = recipe.clone().set("touches", "path", json!(file)).write(folder.path());
-        let printed = abbe(folder.path(), &["run", written.to_str().expect("a path"), "--out", "out"]);
-        assert_eq!(printed.stdout.contains("were these rows measured"), part > 0.0, "{part}: {}", printed.stdout);
-    }
-}
