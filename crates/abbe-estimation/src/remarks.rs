@@ -30,7 +30,6 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks.extend(shared(problem));
     remarks.extend(styli(problem));
     remarks.extend(missed(problem));
-    remarks.extend(planned(problem));
     remarks.extend(tilted_probe(problem));
     remarks.extend(turned(problem));
     remarks.extend(contradicted_by_order(problem));
@@ -96,40 +95,6 @@ fn shared(problem: &Problem) -> Vec<String> {
         )
     };
     pairs.into_iter().map(sentence).collect()
-}
-
-/// How near to nominal contact, mm, a row is that was computed and not measured, as it is written.
-const COMPUTED: f64 = 1e-4;
-
-/// Least number of such rows, and least part of all, that is told.
-const FEW_COMPUTED: (usize, f64) = (5, 0.05);
-
-/// Rows where the nominal machine would touch: positions of a plan that nobody has replaced by measured ones. They say that the machine
-/// has no errors.
-///
-/// Measured rows are as near by chance only. Where their misses are spread evenly nine times as many miss by one to ten times of it.
-fn planned(problem: &Problem) -> Vec<String> {
-    let Ok(residuals) = problem.residuals(&problem.start()) else { return Vec::new() };
-    let mut remarks = Vec::new();
-    for (set, range) in problem.sets.iter().zip(problem.equation_ranges()) {
-        if set.info().contact != Contact::LinearAxes {
-            continue;
-        }
-        let own = &residuals[range.clone()];
-        let within = |most: f64| own.iter().filter(|residual| residual.abs() <= most).count();
-        let (near, next) = (within(COMPUTED), within(10.0 * COMPUTED) - within(COMPUTED));
-        let (least, part) = FEW_COMPUTED;
-        // A plan as a whole is one that is looked at before it is measured.
-        let some = (least..own.len()).contains(&near) && near as f64 >= part * own.len() as f64;
-        if some && near > least + next / 3 {
-            remarks.push(format!(
-                "{}: {near} of {} equations hold to 0.1 µm for the nominal machine: were these rows measured, or are they positions of a plan?",
-                set.name,
-                own.len()
-            ));
-        }
-    }
-    remarks
 }
 
 /// Difference of positions of a tilting axis that is told, rad.
