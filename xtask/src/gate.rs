@@ -3,7 +3,7 @@
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::{Outcome, borders, cargo, header, linuxcnc, packages, python, root, run as run_command, untested};
@@ -96,9 +96,13 @@ fn other_programs(tests: &mut Tests) -> Outcome {
     let whole = ["test", "--workspace", "--test", "whole", "--locked", FEATURES[0], FEATURES[1], "--"];
     // LinuxCNC runs in real time: nothing else runs beside it.
     let of_control = tests.run(&[&whole[..], &linuxcnc::TESTS, &["--test-threads=1"]].concat());
+    // Tests that wait for other programs leave processors idle: the oldest Rust compiles meanwhile.
+    let oldest = OldestRust::start();
     let without_control = linuxcnc::TESTS.iter().flat_map(|name| ["--skip", *name]);
     let of_tests = tests.run(&whole.into_iter().chain([OUTSIDE]).chain(without_control).collect::<Vec<_>>());
-    let others = [of_control, of_tests, tests.python(), tests.oldest_rust(), tests.licences()];
+    let of_python = tests.python();
+    let of_oldest = oldest.and_then(|oldest| tests.oldest_rust(oldest));
+    let others = [of_control, of_tests, of_python, of_oldest, tests.licences()];
     let failed: Vec<String> = others.into_iter().filter_map(Result::err).collect();
     if failed.is_empty() { Ok(()) } else { Err(failed.join("; ")) }
 }
@@ -145,27 +149,22 @@ impl Tests {
         Ok(())
     }
 
-    /// Whether the oldest Rust that the manifest promises compiles the program.
-    fn oldest_rust(&mut self) -> Outcome {
-        let manifest = std::fs::read_to_string(root().join("Cargo.toml")).map_err(|error| error.to_string())?;
-        let promised = manifest.lines().find_map(|line| line.strip_prefix("rust-version = "));
-        let version = promised.ok_or("Cargo.toml promises no Rust version")?.trim_matches('"').to_owned();
-        let mut rust = Command::new("rustup");
-        rust.args(["run", &version, "cargo"]).current_dir(root());
-        if !is_there(&mut rust) {
-            self.skipped.push(format!("oldest_rust: Rust {version} is not installed"));
-            return Ok(());
+    /// Counts what the oldest Rust said.
+    fn oldest_rust(&mut self, oldest: OldestRust) -> Outcome {
+        match oldest {
+            OldestRust::Missing(version) => {
+                self.skipped.push(format!("oldest_rust: Rust {version} is not installed"));
+                Ok(())
+            }
+            OldestRust::Checks(mut check) => match check.wait() {
+                Ok(status) if status.success() => {
+                    self.passed += 1;
+                    Ok(())
+                }
+                Ok(status) => Err(format!("the oldest Rust does not compile the program: {status}")),
+                Err(error) => Err(format!("the oldest Rust: {error}")),
+            },
         }
-        let mut check = Command::new("rustup");
-        check.args(["run", &version, "cargo", "check", "--package", "abbe", "--locked"]).current_dir(root());
-        check.arg("--target-dir").arg(root().join("target/oldest"));
-        // What this program was started with is not for another toolchain.
-        for name in ["RUSTUP_TOOLCHAIN", "RUSTC", "CARGO"] {
-            check.env_remove(name);
-        }
-        run_command(check)?;
-        self.passed += 1;
-        Ok(())
     }
 
     /// Whether licences and advisories are those that `deny.toml` allows.
@@ -177,6 +176,37 @@ impl Tests {
         run_command(cargo(&["deny", "check"]))?;
         self.passed += 1;
         Ok(())
+    }
+}
+
+/// Whether the oldest Rust that the manifest promises compiles the program.
+enum OldestRust {
+    /// This version is not installed.
+    Missing(String),
+    /// It compiles.
+    Checks(Child),
+}
+
+impl OldestRust {
+    /// Starts to compile, beside whatever comes next.
+    fn start() -> Result<Self, String> {
+        let manifest = std::fs::read_to_string(root().join("Cargo.toml")).map_err(|error| error.to_string())?;
+        let promised = manifest.lines().find_map(|line| line.strip_prefix("rust-version = "));
+        let version = promised.ok_or("Cargo.toml promises no Rust version")?.trim_matches('"').to_owned();
+        let mut rust = Command::new("rustup");
+        rust.args(["run", &version, "cargo"]).current_dir(root());
+        if !is_there(&mut rust) {
+            return Ok(Self::Missing(version));
+        }
+        let mut check = Command::new("rustup");
+        check.args(["run", &version, "cargo", "check", "--quiet", "--package", "abbe", "--locked"]).current_dir(root());
+        check.arg("--target-dir").arg(root().join("target/oldest"));
+        // What this program was started with is not for another toolchain.
+        for name in ["RUSTUP_TOOLCHAIN", "RUSTC", "CARGO"] {
+            check.env_remove(name);
+        }
+        println!("$ {check:?}, beside what follows");
+        check.spawn().map(Self::Checks).map_err(|error| format!("the oldest Rust cannot be run: {error}"))
     }
 }
 
