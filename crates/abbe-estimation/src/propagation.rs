@@ -162,6 +162,14 @@ impl Propagation {
     /// The uncertainty budget of every unknown.
     pub fn budget(&self, problem: &Problem, probability: f64) -> UncertaintyBudget {
         let machine = problem.unknowns.iter().filter(|unknown| unknown.is_of_machine()).count();
+        // Most unknowns have the degrees of freedom of the one before.
+        let mut last = (f64::NAN, f64::NAN);
+        let mut coverage_factor_of = |freedom: f64| {
+            if last.0 != freedom {
+                last = (freedom, coverage_factor(probability, freedom));
+            }
+            last.1
+        };
         let parameters = problem.unknowns.iter().enumerate().map(|(index, unknown)| {
             let variance = |part: &Part| part.covariance[index][index].max(0.0);
             let parts: Vec<(f64, &Part)> =
@@ -181,7 +189,7 @@ impl Propagation {
             };
             freedom.extend(own(false));
             let freedom = effective_degrees_of_freedom(&freedom);
-            let coverage_factor = coverage_factor(probability, freedom);
+            let coverage_factor = coverage_factor_of(freedom);
             let mut contributions: Vec<Contribution> = parts
                 .iter()
                 .filter(|(variance, _)| variance.sqrt() > NOTHING * standard_uncertainty)

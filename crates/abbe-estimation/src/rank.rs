@@ -1,7 +1,7 @@
 //! Identifiability: rank, lost directions, weakly determined directions.
 
 use abbe_core::{Combination, Error, Identifiability, Problem, WeakDirection};
-use abbe_numerics::{Factor, Spectrum};
+use abbe_numerics::{Factor, SingularValues, Spectrum};
 
 use crate::judgement::at_nominal_geometry;
 use crate::separation::SeparationTrials;
@@ -16,13 +16,32 @@ const NAMED: f64 = 0.1;
 pub fn identifiability(problem: &Problem, factor: &Factor, tolerance: f64) -> Identifiability {
     let singular_values = factor.singular_values();
     let rank = singular_values.rank(tolerance);
-    let null_space = if rank < factor.unknowns() { null_space(problem, &factor.spectrum(), rank) } else { Vec::new() };
+    let found = identified(problem, factor, &singular_values, rank);
+    match rank < factor.unknowns() {
+        true => Identifiability { null_space: null_space(problem, &factor.spectrum(), rank), ..found },
+        false => found,
+    }
+}
+
+/// The same, with the combinations that are determined worst.
+pub fn explained_identifiability(problem: &Problem, factor: &Factor, tolerance: f64) -> Identifiability {
+    let spectrum = factor.spectrum();
+    let rank = spectrum.singular_values().rank(tolerance);
+    Identifiability {
+        null_space: null_space(problem, &spectrum, rank),
+        weakest: weakest(problem, &spectrum, rank),
+        ..identified(problem, factor, spectrum.singular_values(), rank)
+    }
+}
+
+/// Rank and condition alone.
+fn identified(problem: &Problem, factor: &Factor, values: &SingularValues, rank: usize) -> Identifiability {
     Identifiability {
         observations: factor.rows(),
         unknowns: problem.unknowns.len(),
         rank,
-        condition: singular_values.condition(rank),
-        null_space,
+        condition: values.condition(rank),
+        null_space: Vec::new(),
         weakest: Vec::new(),
         equivalent_motion_errors: Vec::new(),
         uncertainty: None,

@@ -14,7 +14,7 @@ use crate::equivalent_motion_errors::equivalent_motion_errors;
 use crate::judgement::Judgement;
 use crate::parts::{RowsInParts, SolutionOfParts};
 use crate::propagation::{AposterioriFactors, Linearisation, Propagation};
-use crate::rank::{confounded, identifiability, ill_conditioned, separated, weakest};
+use crate::rank::{confounded, explained_identifiability, identifiability, ill_conditioned, separated, weakest};
 use crate::residuals::{Constraints, ResidualStatistics, outliers, radial_rms};
 use crate::variance::VarianceComponents;
 use crate::weighted::Weighted;
@@ -110,7 +110,7 @@ impl UncertaintyEvaluation {
         };
         let (found, root) = match lost {
             None => {
-                let found = identifiability(problem, &factor, self.rank_tolerance);
+                let found = self.identifiability(problem, &factor);
                 let found = match kept.as_ref().filter(|kept| found.rank == rank && kept.contains(&0.0)) {
                     Some(kept) => {
                         let judged = Judgement::new(problem, Some(kept))?;
@@ -132,7 +132,9 @@ impl UncertaintyEvaluation {
                     return Err(kept.map_or_else(|| error.clone(), |kept| left_out(problem, &kept, &error)));
                 }
                 let condition = factor.singular_values().condition(rank);
-                let found = Identifiability { observations: factor.rows(), condition, ..found };
+                let weakest =
+                    if self.explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() };
+                let found = Identifiability { observations: factor.rows(), condition, weakest, ..found };
                 (found, determined.covariance_root(&factor))
             }
         };
@@ -155,7 +157,7 @@ impl UncertaintyEvaluation {
             equivalent_motion_errors: if self.explained { equivalent_motion_errors(problem)? } else { Vec::new() },
             variance: components.map_or_else(Vec::new, |found| found.named(problem)),
         };
-        let fit = self.report(problem, (&factor, found), &statistics, (iterations, last_step, gradient_cosine), told);
+        let fit = self.report(problem, found, &statistics, (iterations, last_step, gradient_cosine), told);
         let mut calibration = calibration(problem, &x, propagation.covariance(problem), outliers, fit);
         calibration.uncertainty = self.explained.then(|| propagation.budget(problem, self.coverage_probability));
         Ok(calibration)
@@ -170,7 +172,7 @@ impl UncertaintyEvaluation {
         let SolutionOfParts { of_sets, extended, residuals } = rows.at_solution(&x)?;
         let own = |factor: &Factor| factor.without_unknowns(|column| column >= problem.unknowns.len());
         let (factor, of_sets) = (own(&extended), of_sets.iter().map(own).collect::<Vec<Factor>>());
-        let found = identifiability(problem, &factor, self.rank_tolerance);
+        let found = self.identifiability(problem, &factor);
         let rank = found.rank;
         if rank < problem.unknowns.len() {
             return Err(confounded(&found));
@@ -186,7 +188,7 @@ impl UncertaintyEvaluation {
             equivalent_motion_errors: Vec::new(),
             variance: Vec::new(),
         };
-        let fit = self.report(problem, (&factor, found), &statistics, (iterations, last_step, gradient_cosine), told);
+        let fit = self.report(problem, found, &statistics, (iterations, last_step, gradient_cosine), told);
         let mut calibration = calibration(problem, &x, propagation.covariance(problem), Vec::new(), fit);
         calibration.uncertainty = self.explained.then(|| propagation.budget(problem, self.coverage_probability));
         Ok(calibration)
@@ -207,11 +209,19 @@ impl UncertaintyEvaluation {
         .setting("trust_uncertainties"))
     }
 
-    /// The report of a fit; `factor` is that of its rows in nominal contact.
+    /// What the data determine, with the weakest combinations where these are told.
+    fn identifiability(&self, problem: &Problem, factor: &Factor) -> Identifiability {
+        match self.explained {
+            true => explained_identifiability(problem, factor, self.rank_tolerance),
+            false => identifiability(problem, factor, self.rank_tolerance),
+        }
+    }
+
+    /// The report of a fit.
     fn report(
         &self,
         problem: &Problem,
-        (factor, found): (&Factor, Identifiability),
+        found: Identifiability,
         statistics: &ResidualStatistics,
         (iterations, last_step, gradient_cosine): (usize, Option<f64>, Option<f64>),
         told: Told,
@@ -238,7 +248,7 @@ impl UncertaintyEvaluation {
             rank_tolerance: Some(self.rank_tolerance),
             null_space: found.null_space,
             dropped: Vec::new(),
-            weakest: if self.explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() },
+            weakest: found.weakest,
             selection: None,
             selection_by_prediction: None,
             ordinary_covariance: None,
@@ -256,8 +266,7 @@ impl UncertaintyEvaluation {
     /// With the uncertainties that follow from what is stated, if all unknowns are determined.
     pub fn identify(&self, problem: &Problem, judged: &Judgement) -> Result<Identifiability> {
         let factor = judged.factor();
-        let mut found = separated(problem, identifiability(problem, factor, self.rank_tolerance));
-        found.weakest = weakest(problem, &factor.spectrum(), found.rank);
+        let mut found = separated(problem, explained_identifiability(problem, factor, self.rank_tolerance));
         found.equivalent_motion_errors = equivalent_motion_errors(problem)?;
         found.remarks.extend(ill_conditioned(problem, factor, self.rank_tolerance));
         if found.rank == found.unknowns {

@@ -52,9 +52,15 @@ struct Triangle {
 }
 
 impl Triangle {
-    /// The factor of a matrix whose last column is the right side.
-    fn of(columns: Vec<usize>, rows: &Mat<f64>) -> Self {
-        Self { columns, values: Qr::new(rows.as_ref()).thin_R().to_owned() }
+    /// The factor of a matrix whose last column is the right side. What is below its diagonal means nothing.
+    fn of(columns: Vec<usize>, mut rows: Mat<f64>) -> Self {
+        let (height, width) = rows.shape();
+        let size = height.min(width);
+        let block = recommended_block_size::<f64>(height, width);
+        let room = qr_in_place_scratch::<f64>(height, width, block, Par::Seq, Spec::default());
+        let (mut reflections, mut room) = (Mat::zeros(block, size), MemBuffer::new(room));
+        qr_in_place(rows.as_mut(), reflections.as_mut(), Par::Seq, MemStack::new(&mut room), Spec::default());
+        Self { columns, values: rows.get(..size, ..).to_owned() }
     }
 
     /// Entry in a row, zero below the diagonal.
@@ -70,7 +76,7 @@ impl Triangle {
         let rows = Mat::from_fn(self.values.nrows(), count + 1, |row, column| {
             self.entry(row, order.get(column).copied().unwrap_or(count))
         });
-        Self::of(order.iter().map(|&column| self.columns[column]).collect(), &rows)
+        Self::of(order.iter().map(|&column| self.columns[column]).collect(), rows)
     }
 }
 
@@ -194,7 +200,7 @@ impl Accumulator {
         self.parts.clear();
         self.present = None;
         self.filled = 0;
-        self.done.push(Triangle::of(columns, &rows));
+        self.done.push(Triangle::of(columns, rows));
         if self.done.iter().map(|triangle| triangle.values.nrows()).sum::<usize>() * (self.unknowns + 1) > BUFFER {
             let triangles = std::mem::take(&mut self.done);
             self.done.push(stacked(&triangles, (0..self.unknowns).collect()));
@@ -206,7 +212,7 @@ impl Accumulator {
         let all: Vec<usize> = std::mem::take(&mut self.all);
         if self.done.is_empty() {
             let rows = self.matrix(&all);
-            return self.factor(&Triangle::of(all, &rows));
+            return self.factor(&Triangle::of(all, rows));
         }
         self.flush();
         let mut users = vec![0; self.unknowns];
@@ -263,5 +269,5 @@ fn stacked(triangles: &[Triangle], columns: Vec<usize>) -> Triangle {
         }
         first += triangle.values.nrows();
     }
-    Triangle::of(columns, &rows)
+    Triangle::of(columns, rows)
 }
