@@ -1,7 +1,8 @@
 //! Reduces the rows of a least squares problem to their triangular factor.
 
-use faer::Mat;
-use faer::linalg::solvers::Qr;
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::qr::no_pivoting::factor::{qr_in_place, qr_in_place_scratch, recommended_block_size};
+use faer::{Mat, Par, Spec};
 
 use crate::factor::Factor;
 use crate::vector::norm_of;
