@@ -77,3 +77,26 @@ fn angles_beside_those_of_the_positions_are_told() {
         assert!(!told || text.contains("ballbar-xy-f500.csv:"), "{text}");
     }
 }
+
+/// Robust weights leave out the rows in which the spindle is turned, where its angles are wrong: what these rows tell is gone.
+#[test]
+fn outliers_that_gather_where_one_axis_is_turned_are_told() {
+    let folder = temporary();
+    for (rounded, told) in [(false, false), (true, true)] {
+        let mut recipe = Variant::of(&recipes()["first-steps"]);
+        let file = std::path::PathBuf::from(recipe.stage("touches")["path"].as_str().expect("a path"));
+        let file = changed(&file, folder.path(), "S_deg", |_, cell| match rounded {
+            true => format!("{}", (cell.parse::<f64>().expect("an angle") / 100.0).round() * 100.0),
+            false => cell.to_owned(),
+        });
+        recipe.stage("touches")["path"] = json!(file);
+        let file = recipe.write(folder.path());
+        let out = folder.path().join("out");
+        let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str(), "--out".as_ref(), out.as_os_str()]);
+        let text = [printed.stdout, printed.stderr].concat();
+        let words = text.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ");
+        let sentence = "4 of the 12 rows of table in which S is not where it usually is are outliers";
+        assert_eq!(words.contains(sentence), told, "{words}");
+        assert_eq!(words.contains("is not where it usually is"), told, "{words}");
+    }
+}

@@ -38,7 +38,8 @@ mod understood;
 mod units;
 
 pub use abbe_estimation::{
-    Contradicted, LocationError, LocationErrors, Standing, contradicted, copied_runs, repeated_in_words,
+    Contradicted, LocationError, LocationErrors, Standing, contradicted, copied_runs, gathered_outliers,
+    repeated_in_words,
 };
 pub use abbe_measuring::Control;
 pub use abbe_planning::{LargestOfInput, Order, Plan, PlanFigures, Reached, Revisit};

@@ -1,7 +1,7 @@
 //! Coverage factors: half width of an interval, or size of a region, in standard uncertainties, that contains a quantity (or
 //! several together) with a stated probability.
 
-use statrs::distribution::{Binomial, ChiSquared, ContinuousCDF, DiscreteCDF, Normal, StudentsT};
+use statrs::distribution::{Binomial, ChiSquared, ContinuousCDF, DiscreteCDF, Hypergeometric, Normal, StudentsT};
 use statrs::function::beta::beta_reg;
 
 /// Degrees of freedom beyond which Student's quantile is the normal one with corrections.
@@ -200,6 +200,22 @@ pub fn binomial_band(trials: usize, probability: f64, confidence: f64) -> (usize
     let low = first(trials, |count| distribution.cdf(count as u64) > tail);
     let high = first(trials, |count| distribution.sf(count as u64) <= tail);
     (low, high.max(low))
+}
+
+/// The probability that chance finds at least `found` of the `marked` ones among `drawn` that are drawn without return out of `all`.
+///
+/// NaN if more are marked or drawn than there are.
+///
+/// ```
+/// // Two cards of a pack of 52 are both aces: 4/52 * 3/51.
+/// assert!((abbe_numerics::drawn_by_chance(52, 4, 2, 2) - 1.0 / 221.0).abs() < 1e-12);
+/// ```
+pub fn drawn_by_chance(all: usize, marked: usize, drawn: usize, found: usize) -> f64 {
+    let Ok(distribution) = Hypergeometric::new(all as u64, marked as u64, drawn as u64) else { return f64::NAN };
+    match found.checked_sub(1) {
+        Some(fewer) => distribution.sf(fewer as u64),
+        None => 1.0,
+    }
 }
 
 /// The first of `0..=last` that is `reached`, given that all after it are too; `last` if there is none.

@@ -1,7 +1,7 @@
 //! What is hard to believe of a fit: for its heading in the summary.
 
 use abbe_core::{Fit, Quantity};
-use abbe_engine::{Remark, copied_runs};
+use abbe_engine::{Remark, copied_runs, gathered_outliers};
 
 use abbe_report::number::short;
 
@@ -80,6 +80,7 @@ pub fn doubts(all: &[Fit]) -> Option<String> {
         .chain(all.iter().flat_map(files::too_bad))
         .chain(all.iter().flat_map(copied))
         .chain(all.iter().filter_map(too_many_outliers))
+        .chain(all.iter().flat_map(gathered))
         .chain(all.iter().filter_map(contradicted))
         .chain(all.iter().filter_map(disagreeing))
         .chain(all.iter().flat_map(misstated))
@@ -168,6 +169,12 @@ fn copied(fit: &Fit) -> Vec<String> {
         true => copied_runs(&fit.problem).into_iter().map(|found| format!("  {}: {found}\n", fit.name)).collect(),
         false => Vec::new(),
     }
+}
+
+/// Outliers that gather where one axis is not where it usually is.
+fn gathered(fit: &Fit) -> Vec<String> {
+    let found = gathered_outliers(&fit.problem, &fit.calibration);
+    found.into_iter().map(|found| format!("  {}: {found}\n", fit.name)).collect()
 }
 
 /// Part of the rows above which outliers are no gross errors any more.
