@@ -29,10 +29,12 @@ pub(crate) type Sources<'a> = BTreeMap<String, Box<dyn Batches + 'a>>;
 
 /// The estimates of a recipe whose rows are read in batches, after the first pass over the rows.
 pub(crate) struct InBatches<'a> {
-    prepared: &'a Prepared,
+    pub(crate) prepared: &'a Prepared,
     sources: Sources<'a>,
     /// The other data sets, and the first batch of those that are read in batches.
-    data: Datasets,
+    pub(crate) data: Datasets,
+    /// Rows of the data sets that are read in batches.
+    rows: BTreeMap<String, usize>,
     estimates: BTreeMap<String, Known>,
 }
 
@@ -115,12 +117,15 @@ impl<'a> InBatches<'a> {
         monitor: &Monitor,
         taken: &mut Taken,
     ) -> Result<Self> {
-        let mut batches = Self { prepared, sources, data: data.clone(), estimates: BTreeMap::new() };
-        let mut all = First::default();
+        let (rows, estimates) = (BTreeMap::new(), BTreeMap::new());
+        let mut batches = Self { prepared, sources, data: data.clone(), rows, estimates };
+        let (mut all, mut rows) = (First::default(), BTreeMap::new());
         for ingest in batches.sources.keys() {
             let first = batches.first_pass(ingest, inputs, monitor)?;
+            rows.insert(ingest.clone(), first.rows[0]);
             all.join(first)?;
         }
+        batches.rows = rows;
         for (ingest, rows) in std::mem::take(&mut all.taken) {
             taken.entry(ingest).or_default().extend(rows);
         }
@@ -245,12 +250,17 @@ impl<'a> InBatches<'a> {
         Ok(Known { problem, part: Arc::unwrap_or_clone(part) })
     }
 
-    fn count(&self, ingest: &str) -> usize {
+    /// How many rows a data set has that is read in batches.
+    pub(crate) fn rows_of(&self, ingest: &str) -> usize {
+        self.rows.get(ingest).copied().unwrap_or(0)
+    }
+
+    pub(crate) fn count(&self, ingest: &str) -> usize {
         self.sources.get(ingest).map_or(0, |source| source.count())
     }
 
     /// The data sets with one batch of one of them, and the rows that are left out of it because a number was not measured.
-    fn with_batch(&self, ingest: &str, batch: usize) -> Result<(Datasets, usize)> {
+    pub(crate) fn with_batch(&self, ingest: &str, batch: usize) -> Result<(Datasets, usize)> {
         let stage = self.prepared.recipe_stage(ingest)?;
         let source = self.sources.get(ingest).ok_or_else(|| Error::data("it is not read in batches").stage(ingest))?;
         let read = self.prepared.located(stage, source.read(batch))?;

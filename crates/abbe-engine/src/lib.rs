@@ -33,6 +33,7 @@ mod repeated;
 mod results;
 mod row_settings;
 mod run;
+mod sample;
 mod saved;
 mod simulate;
 mod staging;

@@ -89,6 +89,7 @@ impl Prepared {
         }
         let fits = batches.without_rows(fits)?;
         let (verdicts, mut exports) = self.verdicts(&fits, &unseen, &data, monitor, &mut failures)?;
+        let (fits, shown) = with_rows_to_show(fits, &batches, monitor)?;
         exports.extend(self.exports(&fits, monitor, &mut failures)?);
         // What needs them has been made all the same.
         failures.extend(implausible);
@@ -100,7 +101,7 @@ impl Prepared {
         let of_fits = problems.iter().filter(|(_, problem)| !problem.sets.is_empty()).flat_map(told);
         let of_groups = self.copied_groups(&fits, &problems);
         of_groups.iter().for_each(|remark| tracing::warn!("{}: {}", remark.estimate, remark.text));
-        let remarks = of_fits.chain(of_groups).collect();
+        let remarks = of_fits.chain(of_groups).chain(shown).collect();
         unchanged(&seen, &inputs)?;
         Ok(Outcome {
             recipe: self.recipe.id.clone(),
@@ -366,6 +367,27 @@ fn unless_failed<T>(stage: &Stage, result: Result<T>, failures: &mut Vec<Failure
 fn failed(needed: &[String], failures: &[Failure]) -> Option<impl Fn(&Stage) -> Failure + use<>> {
     let failed = needed.iter().find(|name| failures.iter().any(|failure| failure.stage == **name))?.clone();
     Some(move |stage: &Stage| Failure::of_needed(stage, &failed))
+}
+
+/// Estimates whose rows are read in batches, with some rows that tables of residuals and charts can show; and what to say of these.
+fn with_rows_to_show(
+    mut fits: Vec<Fit>,
+    batches: &InBatches<'_>,
+    monitor: &Monitor,
+) -> Result<(Vec<Fit>, Vec<Remark>)> {
+    let mut all = Vec::new();
+    for fit in &mut fits {
+        match batches.sampled(fit, monitor) {
+            Ok(None) => {}
+            Ok(Some((problem, remarks))) => {
+                fit.problem = Arc::new(problem);
+                all.extend(remarks);
+            }
+            Err(error) if error.class == Class::Interrupted => return Err(error),
+            Err(error) => tracing::warn!("{}: there is no table of residuals: {error}", fit.name),
+        }
+    }
+    Ok((fits, all))
 }
 
 /// The digests of input files.

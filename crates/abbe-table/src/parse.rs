@@ -7,7 +7,7 @@ use std::path::Path;
 use abbe_core::{Class, Column, ColumnHeader, Dataset, Error, Quantity, Result, RowOrigin, Values};
 
 use crate::layout::{Encoding, Layout, Separator, Unit};
-use crate::number::{help_for, number_of, shown};
+use crate::number::{help_for, number_in_column, shown};
 use crate::text::{newlines, read_line, text};
 use crate::{empty_column, unreadable};
 
@@ -149,7 +149,9 @@ impl Rows<'_> {
             numbers.clear();
             for column in taken.iter().filter(|column| column.header.quantity != Quantity::Label) {
                 let cell = records.cell(column)?;
-                numbers.push(number_of(&column.header.header, cell, column.unit, layout).map_err(|message| {
+                let of_header = (column.header.quantity, column.factor);
+                let number = number_in_column(&column.header.header, of_header, cell, column.unit, layout);
+                numbers.push(number.map_err(|message| {
                     let error = records.at_cell(Error::data(message), column.index);
                     match help_for(&column.header.header, cell, layout) {
                         Some(help) => error.help(help),
@@ -175,9 +177,16 @@ struct Taken {
     header: ColumnHeader,
     index: usize,
     unit: Option<Unit>,
+    /// From the unit of the header to the one used in memory.
+    factor: f64,
 }
 
 impl Taken {
+    fn new(header: ColumnHeader, index: usize, unit: Option<Unit>) -> Self {
+        let (.., factor) = Quantity::of_column(&header.header);
+        Self { header, index, unit, factor }
+    }
+
     /// Whether the row has the mark of a number that was not measured here.
     fn is_absent(&self, records: &Records, layout: &Layout) -> bool {
         !layout.no_data.is_empty()
@@ -201,7 +210,7 @@ impl<'a> Table<'a> {
             let headers = records.header()?.ok_or_else(|| no_header(path, layout))?;
             let width = Some(headers.len());
             let taken = headers.into_iter().enumerate();
-            let taken = taken.map(|(index, header)| Taken { header, index, unit: None }).collect();
+            let taken = taken.map(|(index, header)| Taken::new(header, index, None)).collect();
             return Ok(Self { records, taken, width });
         };
         let names =
@@ -217,7 +226,7 @@ impl<'a> Table<'a> {
                     })?
                 }
             };
-            taken.push(Taken { header: ColumnHeader::parse(name), index, unit: source.unit });
+            taken.push(Taken::new(ColumnHeader::parse(name), index, source.unit));
         }
         Ok(Self { records, taken, width: names.map(|names| names.len()) })
     }
