@@ -3,6 +3,7 @@
 
 mod at_the_limit;
 mod ball_bar;
+mod batches;
 mod bodies;
 mod bounds;
 mod calibrations;

@@ -39,7 +39,7 @@ fn dealt_out(at: &Path, recipe: Variant, from: &str, count: usize, random: &mut 
 }
 
 /// A recipe with one estimate that can be made of parts: without robust weights, and with the time scale of its drift stated.
-fn of_parts(name: &str, estimate: &str) -> Variant {
+pub(crate) fn of_parts(name: &str, estimate: &str) -> Variant {
     let mut recipe = Variant::of(&recipes()[name]).only(&[estimate]);
     recipe.stage(estimate).as_object_mut().expect("settings").remove("robust");
     for stage in recipe.0["stages"].as_object_mut().expect("stages").values_mut() {
@@ -75,7 +75,7 @@ fn calibration(path: &Path) -> Calibration {
 }
 
 /// Whether two estimates are the same to 1e-9 of their uncertainties.
-fn agree(what: &str, of_shards: &Calibration, single: &Calibration) {
+pub(crate) fn agree(what: &str, of_shards: &Calibration, single: &Calibration) {
     assert_eq!(values(of_shards).count(), values(single).count(), "{what}");
     for one in values(single) {
         let Estimated { value, standard_uncertainty, status, unit, .. } =

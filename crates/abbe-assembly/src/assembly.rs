@@ -162,28 +162,9 @@ impl Assembly {
 
     /// The data set, from what `load` reads of each file.
     pub fn read(&self, load: Load<'_>) -> Result<Dataset> {
-        let (data, mut stays) = self.assemble(load, &abbe_table::read)?;
-        for (header, [from, to]) in &self.within {
-            let (name, quantity, factor) = Quantity::of_column(header);
-            let numbers = abbe_table::numbers(&data, name, quantity)?;
-            for (stays, number) in stays.iter_mut().zip(numbers) {
-                *stays &= (from * factor..=to * factor).contains(number);
-            }
-        }
-        for (setting, filters, wanted) in self.filters() {
-            for (name, listed) in filters {
-                let labels = abbe_table::labels(&data, name)?;
-                // A recipe may name rows that other data do not have.
-                let there: BTreeSet<&String> = labels.iter().collect();
-                for label in listed.iter().filter(|label| !there.contains(&label.0)) {
-                    tracing::warn!("`{setting}` names {name} {}, which is in no row of these data", label.0);
-                }
-                let listed: BTreeSet<&String> = listed.iter().map(|label| &label.0).collect();
-                for (stays, label) in stays.iter_mut().zip(labels) {
-                    *stays &= listed.contains(label) == wanted;
-                }
-            }
-        }
+        let (data, stays) = self.assemble(load, &abbe_table::read)?;
+        self.tell_unknown(&data)?;
+        let stays = self.filtered(&data, stays)?;
         match stays.contains(&true) {
             true => self.mean(selected(data, &stays)),
             false if self.motion.is_some() || !self.within.is_empty() => Err(Error::data(
@@ -195,10 +176,65 @@ impl Assembly {
         }
     }
 
+    /// The data set of some rows of the files, from the joined table as it was read; no row may be left.
+    pub(crate) fn part(&self, rows: Dataset, table: Option<&Dataset>) -> Result<Dataset> {
+        let (data, stays) = self.completed(rows, &|_| table.cloned().ok_or_else(|| Error::data("no table was read")))?;
+        let stays = self.filtered(&data, stays)?;
+        Ok(selected(data, &stays))
+    }
+
+    /// The joined table, if there is one.
+    pub(crate) fn joined_table(&self) -> Result<Option<Dataset>> {
+        self.join.as_ref().map(|(path, _)| abbe_table::read(path)).transpose()
+    }
+
+    /// Tells labels of `ignore` and `keep` that no row has: a recipe may name rows that other data do not have.
+    fn tell_unknown(&self, data: &Dataset) -> Result<()> {
+        for (setting, filters, _) in self.filters() {
+            for (name, listed) in filters {
+                let there: BTreeSet<&String> = abbe_table::labels(data, name)?.iter().collect();
+                for label in listed.iter().filter(|label| !there.contains(&label.0)) {
+                    tracing::warn!("`{setting}` names {name} {}, which is in no row of these data", label.0);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Which rows stay after `within`, `ignore` and `keep`, of those that stay before.
+    fn filtered(&self, data: &Dataset, mut stays: Vec<bool>) -> Result<Vec<bool>> {
+        for (header, [from, to]) in &self.within {
+            let (name, quantity, factor) = Quantity::of_column(header);
+            let numbers = abbe_table::numbers(data, name, quantity)?;
+            for (stays, number) in stays.iter_mut().zip(numbers) {
+                *stays &= (from * factor..=to * factor).contains(number);
+            }
+        }
+        for (_, filters, wanted) in self.filters() {
+            for (name, listed) in filters {
+                let labels = abbe_table::labels(data, name)?;
+                let listed: BTreeSet<&String> = listed.iter().map(|label| &label.0).collect();
+                for (stays, label) in stays.iter_mut().zip(labels) {
+                    *stays &= listed.contains(label) == wanted;
+                }
+            }
+        }
+        Ok(stays)
+    }
+
     /// The data set before rows are left out, from what `load` reads of each file, and `table` of the joined one; and which
     /// rows stay after `motion`.
     fn assemble(&self, load: Load<'_>, table: Load<'_>) -> Result<(Dataset, Vec<bool>)> {
         let mut data = Dataset::default();
+        for file in self.files()? {
+            append(&mut data, load(&file)?)?;
+        }
+        self.completed(data, table)
+    }
+
+    /// The files, in their order. Fails for a pattern that no file matches.
+    pub(crate) fn files(&self) -> Result<Vec<PathBuf>> {
+        let mut all = Vec::new();
         let sources = if self.is_one_table { &self.sources[..1] } else { &self.sources };
         for source in sources {
             let files = if self.is_one_table { vec![source.path.clone()] } else { source.files() };
@@ -207,10 +243,13 @@ impl Assembly {
                     .help("`*` and `?` stand for parts of the name of a file; the folder has to be there")
                     .setting("path"));
             }
-            for file in files {
-                append(&mut data, load(&file)?)?;
-            }
+            all.extend(files);
         }
+        Ok(all)
+    }
+
+    /// Adds what the settings say to the rows of files; and which rows stay after `motion`.
+    fn completed(&self, mut data: Dataset, table: Load<'_>) -> Result<(Dataset, Vec<bool>)> {
         let by_file = add_file_column(&mut data)?;
         for (name, constant) in &self.constants {
             let header = ColumnHeader::parse(name);
@@ -277,7 +316,7 @@ fn in_settings(error: Error, setting: &str, key: &str) -> Error {
 }
 
 /// Appends the rows of one file, which must have the same columns in any order.
-fn append(data: &mut Dataset, mut part: Dataset) -> Result<()> {
+pub(crate) fn append(data: &mut Dataset, mut part: Dataset) -> Result<()> {
     let Some(first) = data.files.first() else {
         *data = part;
         return Ok(());

@@ -5,10 +5,12 @@
 
 mod assembly;
 mod average;
+mod batches;
 mod files;
 mod motion;
 
 pub use assembly::{Assembly, Filters, Join, Load, Paths, Ranges, emptied, tell_left_out, without_rows};
 pub use average::Average;
+pub use batches::InBatches;
 pub use files::Source;
 pub use motion::Motion;

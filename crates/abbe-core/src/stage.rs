@@ -36,6 +36,17 @@ pub trait Ingest: Send + Sync {
     /// The data set.
     fn read(&self) -> Result<Dataset>;
 
+    /// How many rows a batch has, if estimates are to read the rows in batches and never hold all of them. Default: none, all are
+    /// held.
+    fn batch_rows(&self) -> Option<usize> {
+        None
+    }
+
+    /// The same rows in batches. Fails where [`batch_rows`](Self::batch_rows) is none, and for files that cannot be read so.
+    fn batches(&self) -> Result<Box<dyn Batches + '_>> {
+        Err(Error::usage("this stage reads all rows at once"))
+    }
+
     /// Whether its files are tables, in which other numbers can be written. Default: they are.
     fn is_of_tables(&self) -> bool {
         true
@@ -49,6 +60,24 @@ pub trait Ingest: Send + Sync {
     }
 }
 
+/// The rows of a data set in batches, each of which is read when it is asked for, from any thread.
+pub trait Batches: Send + Sync {
+    /// How many batches there are.
+    fn count(&self) -> usize;
+
+    /// The rows of a batch. None may be left of it; each says where it stands in its file, as in a data set of all rows.
+    fn read(&self, batch: usize) -> Result<Batch>;
+}
+
+/// A batch of the rows of a data set.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Batch {
+    /// Its rows.
+    pub data: Dataset,
+    /// How many rows are left out of it because a number was not measured.
+    pub left_out: usize,
+}
+
 /// Observations of an artefact from a data set.
 pub trait Artefact: Send + Sync {
     /// The files that it reads.
@@ -59,6 +88,12 @@ pub trait Artefact: Send + Sync {
 
     /// Makes the observations. Rows of features that this artefact does not have are skipped; other artefacts may use them.
     fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>>;
+
+    /// The observations of some rows of a data set, as [`observe`](Self::observe); none if no row is one of this artefact. It is asked
+    /// only where [rows are independent](Self::rows_are_independent). Default: it fails without rows.
+    fn observe_some(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Option<Arc<dyn Observations>>> {
+        self.observe(data, model).map(Some)
+    }
 
     /// Whether the observations of some rows of a data set, and those of its other rows, are together those of all: an equation, the
     /// name of an unknown or of a known input, its start value and its uncertainty do not depend on which other rows are there.
@@ -150,6 +185,11 @@ pub trait Estimate: Send + Sync {
     /// Whether what earlier estimates know of the unknowns ([`Problem::priors`]) counts; else unknowns only start there.
     fn counts_priors(&self) -> bool {
         false
+    }
+
+    /// As [`identify`](Self::identify), of a problem whose rows lie in `parts`. Default: as [`accepts_parts`](Self::accepts_parts).
+    fn identify_parts(&self, _problem: &Problem, _parts: &dyn Parts) -> Result<Identifiability> {
+        self.accepts_parts().and(Err(Error::usage("this estimator judges no rows in parts")))
     }
 
     /// Whether it would solve a problem with this identifiability.

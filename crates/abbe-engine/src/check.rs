@@ -6,10 +6,12 @@ use abbe_core::{Identifiability, Kind, Monitor, Problem, Result};
 use abbe_estimation::{dead_channels, remarks};
 use abbe_recipe::Stage;
 
+use crate::batches::InBatches;
 use crate::groups::GroupProblem;
 use crate::prepare::Prepared;
+use crate::problems::Taken;
 use crate::record::input_records;
-use crate::run::{Taken, digests, has_rows};
+use crate::run::{digests, has_rows};
 
 /// Identifiability of a planned fit.
 #[derive(Debug, Clone, PartialEq)]
@@ -33,14 +35,23 @@ impl Prepared {
     /// The same, which the user may end on the way.
     pub fn check_until(&self, monitor: &Monitor) -> Result<Vec<Planned>> {
         let inputs = input_records(&self.files)?;
-        let data = self.read(monitor, None)?;
-        let digests = digests(&self.with_given(inputs, &data)?);
+        let sources = self.sources()?;
+        let data = self.read_with(monitor, &sources)?;
+        let inputs = self.with_given(inputs, &data)?;
         let mut taken = Taken::default();
-        let problems = self.problems(&data, &mut taken)?;
-        self.evidence(&problems, &data, &digests)?;
+        let problems = self.problems_of(&data, &mut taken, |stage| !self.has_batches(stage))?;
+        let batches = InBatches::new(self, sources, &data, &inputs, monitor, &mut taken)?;
+        self.evidence(&problems, &batches, &data, &digests(&inputs))?;
         let groups = self.group_problems(&data)?;
         let (mut planned, mut found) = (Vec::new(), BTreeMap::new());
         for stage in self.stages(Kind::Estimate).filter(has_rows) {
+            if let Some(identifiability) = batches.identify(stage, monitor)? {
+                found.insert(stage.name.clone(), identifiability.clone());
+                if let Some(problem) = batches.problem(&stage.name) {
+                    planned.push(self.planned(stage, problem, identifiability)?);
+                }
+                continue;
+            }
             let Some(problem) = problems.get(&stage.name) else { continue };
             monitor.check().map_err(|error| error.stage(&stage.name))?;
             let estimator = &self.estimators[&stage.name];
@@ -49,18 +60,23 @@ impl Prepared {
             identifiability.remarks.extend(remarks(problem));
             identifiability.remarks.extend(dead_channels(problem));
             identifiability.remarks.extend(self.substitutes(stage, problem, &identifiability));
-            let accepted = self.located(stage, estimator.accepts(&identifiability))?;
-            let own = problem.unknowns.iter().filter(|unknown| unknown.is_of_machine());
-            let machine = own.map(|unknown| unknown.name.clone()).collect();
-            planned.push(Planned { estimate: stage.name.clone(), identifiability, accepted, machine });
+            planned.push(self.planned(stage, problem, identifiability)?);
             for group in groups.get(&stage.name).into_iter().flatten() {
                 planned.extend(self.planned_group(stage, group)?);
             }
         }
-        let unseen = self.predicted(&problems, &data, &mut taken)?;
+        let unseen = self.predicted(&problems, &batches, &data, &mut taken)?;
         self.nothing_left_over(&data, &taken)?;
-        self.rehearse(true, (&problems, &groups), &found, &unseen, &data)?;
+        self.rehearse(true, (&problems, &groups, &batches), &found, &unseen, &data)?;
         Ok(planned)
+    }
+
+    /// What an estimate determines, and whether its estimator takes it.
+    fn planned(&self, stage: &Stage, problem: &Problem, identifiability: Identifiability) -> Result<Planned> {
+        let accepted = self.located(stage, self.estimators[&stage.name].accepts(&identifiability))?;
+        let own = problem.unknowns.iter().filter(|unknown| unknown.is_of_machine());
+        let machine = own.map(|unknown| unknown.name.clone()).collect();
+        Ok(Planned { estimate: stage.name.clone(), identifiability, accepted, machine })
     }
 
     /// The problems of the estimates that are solved from measurements, by their names: model, observations and unknowns, for an

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::{DataRecord, Error, Kind, Problem, Result};
 
+use crate::batches::InBatches;
 use crate::prepare::Prepared;
 use crate::readings::{self, has_readings};
 use crate::run::Datasets;
@@ -13,17 +14,21 @@ pub(crate) type Digests = BTreeMap<String, String>;
 
 /// The rows that a problem uses.
 pub(crate) fn of_problem(problem: &Problem, digests: &Digests) -> Vec<DataRecord> {
-    let mut rows: BTreeMap<String, BTreeSet<usize>> = BTreeMap::new();
+    let mut all: BTreeMap<String, BTreeSet<usize>> = BTreeMap::new();
     for set in &problem.sets {
         let layout = &set.observations.info().layout;
         let data = &layout.data;
+        let mut of_files = vec![Vec::new(); data.files.len()];
         let own = set.rows.iter().filter_map(|&row| layout.rows[row].data_row);
         for row in own.chain(layout.merged.iter().copied()) {
             let origin = &data.origins[row];
-            rows.entry(data.files[origin.file].display().to_string()).or_default().insert(origin.row);
+            of_files[origin.file].push(origin.row);
+        }
+        for (file, rows) in data.files.iter().zip(of_files).filter(|(_, rows)| !rows.is_empty()) {
+            all.entry(file.display().to_string()).or_default().extend(rows);
         }
     }
-    of_rows(rows, digests)
+    of_rows(all, digests)
 }
 
 /// Records of the rows of files.
@@ -77,14 +82,25 @@ pub(crate) fn shared(one: &[DataRecord], other: &[DataRecord]) -> Vec<DataRecord
 pub(crate) fn joined(mut one: Vec<DataRecord>, other: &[DataRecord]) -> Vec<DataRecord> {
     for record in other {
         match one.iter_mut().find(|it| same_file(it, record)) {
-            Some(known) => {
-                let all: BTreeSet<usize> = rows(known).chain(rows(record)).collect();
-                known.rows = runs(all);
-            }
+            Some(known) => known.rows = joined_runs(&known.rows, &record.rows),
             None => one.push(record.clone()),
         }
     }
     one
+}
+
+/// The runs of all rows of two lists of runs, however many rows these are.
+fn joined_runs(one: &[[usize; 2]], other: &[[usize; 2]]) -> Vec<[usize; 2]> {
+    let mut all = [one, other].concat();
+    all.sort_unstable();
+    let mut joined: Vec<[usize; 2]> = Vec::with_capacity(all.len());
+    for [first, last] in all {
+        match joined.last_mut() {
+            Some(before) if first <= before[1].saturating_add(1) => before[1] = before[1].max(last),
+            _ => joined.push([first, last]),
+        }
+    }
+    joined
 }
 
 /// Most runs of rows that an error names of a file.
@@ -110,6 +126,7 @@ impl Prepared {
     pub(crate) fn evidence(
         &self,
         problems: &BTreeMap<String, Problem>,
+        batches: &InBatches<'_>,
         data: &Datasets,
         digests: &Digests,
     ) -> Result<BTreeMap<String, Vec<DataRecord>>> {
@@ -119,7 +136,10 @@ impl Prepared {
             let mut all = match self.saved.get(name) {
                 Some(saved) => saved.calibration.data.clone(),
                 None if has_readings(stage) => readings::rows(stage, data, digests),
-                None => problems.get(name).map_or_else(Vec::new, |problem| of_problem(problem, digests)),
+                None => match problems.get(name) {
+                    Some(problem) => of_problem(problem, digests),
+                    None => batches.rows(name).to_vec(),
+                },
             };
             for key in ["known", "of"] {
                 for earlier in stage.reference(key) {

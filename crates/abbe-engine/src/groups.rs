@@ -12,8 +12,9 @@ use crate::evidence::{Digests, of_problem};
 use crate::outcome::Failure;
 use crate::plausibility::EXACT;
 use crate::prepare::Prepared;
+use crate::problems::Taken;
 use crate::record::Remark;
-use crate::run::{Datasets, Taken};
+use crate::run::Datasets;
 
 /// The value of `per` for the rows of one file each.
 const FILE: &str = "file";

@@ -7,7 +7,8 @@ use abbe_estimation::laws;
 use abbe_simulation::{Noise, Truth, measure};
 
 use crate::prepare::Prepared;
-use crate::run::{Taken, has_rows};
+use crate::problems::Taken;
+use crate::run::has_rows;
 use crate::units::ends;
 
 /// Scale of the largest effect of the errors of the virtual machine on any equation, mm or rad. It is so small that an

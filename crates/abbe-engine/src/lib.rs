@@ -5,6 +5,8 @@
 //! [`Prepared::plan`] chooses which measurements to make; [`Prepared::simulate`] measures the programme of a recipe on a
 //! virtual machine instead.
 
+mod batched_settings;
+mod batches;
 mod check;
 mod circles;
 mod described;
@@ -12,6 +14,7 @@ mod evidence;
 mod folder;
 mod given;
 mod groups;
+mod in_order;
 mod laws;
 mod outcome;
 mod parts;
@@ -20,6 +23,7 @@ mod plan;
 mod plausibility;
 mod prediction;
 mod prepare;
+mod problems;
 mod program;
 mod readings;
 mod record;
@@ -29,6 +33,7 @@ mod repeated;
 mod results;
 mod row_settings;
 mod run;
+mod sample;
 mod saved;
 mod simulate;
 mod staging;

@@ -5,20 +5,24 @@ use std::sync::Arc;
 
 use abbe_core::{
     AskedOfPart, Contact, DataRecord, Equations, Error, EstimateSource, Fit, Kind, KinematicModel, KnownInput, Layout,
-    ModelRecord, Monitor, ObservationSet, Observations, ObservationsInfo, Parameter, PartEvidence, Parts, Problem,
+    ModelRecord, Monitor, ObservationSet, Observations, ObservationsInfo, Orientation, Parameter, PartEvidence, Parts, Problem,
     Result, RowBatch, matches,
 };
-use abbe_estimation::part_evidence;
+use abbe_estimation::{joined_evidence, part_evidence};
 use abbe_recipe::Stage;
 use serde::{Deserialize, Serialize};
 
 use crate::evidence;
-use crate::plausibility::check_uncertainties;
+use crate::plausibility::{check_tips, check_uncertainties};
 use crate::prepare::Prepared;
+use crate::problems::{Taken, take};
 use crate::record::{FailureRecord, FileRecord, input_records};
 use crate::row_settings::Wanted;
-use crate::run::{Datasets, Taken, digests};
+use crate::run::{Datasets, digests};
 use crate::statuses;
+
+/// What to do about rows that cannot be taken in parts.
+const AT_ONCE: &str = "estimate all rows at once: `abbe run`, without `batch_rows` where they are read";
 
 /// What a part has of the rows of an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -46,6 +50,45 @@ pub struct Part {
     pub evidence: PartEvidence,
 }
 
+impl Part {
+    /// The answer of the rows of a problem at some values of its unknowns.
+    pub(crate) fn of(problem: &Problem, asked: AskedOfPart, values: &[f64], inputs: &[FileRecord]) -> Result<Self> {
+        Ok(Self {
+            model: problem.model_record(),
+            sets: problem.sets.iter().map(PartSet::of).collect(),
+            data: evidence::of_problem(problem, &digests(inputs)),
+            statuses: statuses::of_problem(problem),
+            evidence: part_evidence(problem, asked, values)?,
+            inputs: inputs.to_vec(),
+        })
+    }
+
+    /// Adds another part of the rows of the same estimate.
+    ///
+    /// Fails where both know one thing differently.
+    pub(crate) fn join(&mut self, other: &Self) -> Result<()> {
+        if self.model != other.model {
+            return Err(differing_machines());
+        }
+        for set in &other.sets {
+            match self.sets.iter_mut().find(|known| known.name == set.name) {
+                Some(known) => known.join(set)?,
+                None => self.sets.push(set.clone()),
+            }
+        }
+        self.data = evidence::joined(std::mem::take(&mut self.data), &other.data);
+        statuses::join(&mut self.statuses, &other.statuses);
+        self.evidence = joined_evidence(&self.evidence, &other.evidence)?;
+        Ok(())
+    }
+}
+
+/// The error for parts whose machines differ.
+fn differing_machines() -> Error {
+    Error::data("the machine takes settings from its data, and they differ from part to part")
+        .help("state in the recipe what the machine takes from the data: the time scale of a drift")
+}
+
 /// The artefact of a part: what a problem has to know of it besides its rows.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PartSet {
@@ -59,17 +102,21 @@ pub struct PartSet {
     pub inputs: Vec<KnownInput>,
     /// Their declared identities.
     pub ids: Vec<Option<String>>,
+    /// Whether its equations depend on the orientation of the tool.
+    #[serde(default)]
+    pub orientation: Orientation,
 }
 
 impl PartSet {
     fn of(set: &ObservationSet) -> Self {
-        let ObservationsInfo { unknowns, start, inputs, .. } = set.info();
+        let ObservationsInfo { unknowns, start, inputs, orientation, .. } = set.info();
         Self {
             name: set.name.clone(),
             unknowns: unknowns.clone(),
             start: start.clone(),
             inputs: inputs.clone(),
             ids: set.ids.clone(),
+            orientation: *orientation,
         }
     }
 
@@ -79,7 +126,7 @@ impl PartSet {
     fn join(&mut self, other: &Self) -> Result<()> {
         let differs = |name: &str, what: &str| {
             let message = format!("`{}.{name}` has another {what} in another part of the rows", self.name);
-            Err(Error::data(message).help("estimate all rows at once: `abbe run`").stage(&self.name))
+            Err(Error::data(message).help(AT_ONCE).stage(&self.name))
         };
         for (unknown, start) in other.unknowns.iter().zip(&other.start) {
             match self.unknowns.iter().position(|known| known.name == unknown.name) {
@@ -133,15 +180,17 @@ impl Prepared {
     pub fn check_parts(&self, estimate: &str, from: &str) -> Result<()> {
         let stage = self.recipe_stage(estimate)?;
         let wrong = |error: Error| self.recipe.locate(error.stage(&stage.name));
-        let refused = |message: String| Err(wrong(Error::usage(message).help("estimate all rows at once: `abbe run`")));
+        let refused = |message: String| Err(wrong(Error::usage(message).help(AT_ONCE)));
         if stage.kind != Kind::Estimate || stage.estimate_source != EstimateSource::Measurements {
             return refused(format!("`{estimate}` is no estimate from measurements"));
         }
         if stage.per.is_some() {
-            return refused(format!("`{estimate}` has groups (`per`), each of which is an estimate by itself"));
+            let message = format!("`{estimate}` has groups (`per`), each of which is an estimate by itself");
+            return Err(wrong(Error::usage(message).help(AT_ONCE).setting("per")));
         }
         if let Some(key) = ["start", "known"].into_iter().find(|key| !stage.reference(key).is_empty()) {
-            return refused(format!("`{key}` of `{estimate}` names an estimate, and a part knows none"));
+            let message = format!("`{key}` of `{estimate}` names an estimate, and a part of its rows knows none");
+            return Err(wrong(Error::usage(message).help(AT_ONCE).setting(key)));
         }
         self.located(stage, self.estimators[&stage.name].accepts_parts())?;
         let mut is_observed = false;
@@ -177,40 +226,63 @@ impl Prepared {
         let (data, mut taken) = (self.read(&Monitor::default(), None)?, Taken::default());
         if data[share.from].averaged {
             let error = Error::usage("rows are means of rows of several files, and no part has all files");
-            let error = error.help("average the files before, or estimate all rows at once: `abbe run`");
+            let error = error.help(format!("average the files before, or {AT_ONCE}"));
             return Err(self.recipe.locate(error.setting("average").stage(share.from)));
         }
-        let problem = self.located(stage, self.part_problem(stage, Some(share), &data, &mut taken))?;
+        let machine = self.built_machine(stage, &data)?;
+        let observed = self.observed(stage, |ingest| match ingest == share.from {
+            true => Some(Rows::Some),
+            false => share.with_others.then_some(Rows::All),
+        })?;
+        let problem = self.part_problem(stage, machine, &observed, &data, Some(&mut taken));
+        let problem = self.located(stage, problem)?;
         self.nothing_left_over(&data, &taken)?;
-        let values = problem.unknowns.iter().zip(problem.start());
-        let values: Vec<f64> = values.map(|(unknown, start)| at.get(&unknown.name).copied().unwrap_or(start)).collect();
-        Ok(Part {
-            model: problem.model_record(),
-            sets: problem.sets.iter().map(PartSet::of).collect(),
-            data: evidence::of_problem(&problem, &digests(&inputs)),
-            statuses: statuses::of_problem(&problem),
-            evidence: self.located(stage, part_evidence(&problem, asked, &values))?,
-            inputs,
-        })
+        let part = Part::of(&problem, asked, &values_at(&problem, at), &inputs);
+        self.located(stage, part)
     }
 
-    /// The problem of a share, or of all rows of this recipe. Unknowns that other parts have need not be here.
-    fn part_problem(
+    /// What an estimate observes of the data sets that count, in its order.
+    pub(crate) fn observed<'a>(
         &self,
-        stage: &Stage,
-        share: Option<Share<'_>>,
-        data: &Datasets,
-        taken: &mut Taken,
-    ) -> Result<Problem> {
-        let model = self.built_machine(stage, data)?;
+        stage: &'a Stage,
+        counts: impl Fn(&str) -> Option<Rows>,
+    ) -> Result<Vec<(&'a str, Rows)>> {
         let mut observed = Vec::new();
         for name in stage.reference("observations") {
             let (ingest, _) = self.artefact(name)?;
-            if share.is_none_or(|share| share.with_others || share.from == ingest) {
-                observed.push(name.clone());
-            }
+            observed.extend(counts(ingest).map(|rows| (name.as_str(), rows)));
         }
-        let sets = self.sets(&observed, &model, data, Wanted::Seen, taken)?;
+        Ok(observed)
+    }
+
+    /// The problem of a part on a machine that is there. Unknowns that other parts have need not be here, nor artefacts whose rows are
+    /// all in others.
+    pub(crate) fn part_problem(
+        &self,
+        stage: &Stage,
+        model: Arc<dyn KinematicModel>,
+        observed: &[(&str, Rows)],
+        data: &Datasets,
+        mut taken: Option<&mut Taken>,
+    ) -> Result<Problem> {
+        let mut sets = Vec::new();
+        for (name, rows) in observed {
+            let (ingest, artefact) = self.artefact(name)?;
+            check_tips(&data[ingest], model.as_ref()).map_err(|error| error.stage(ingest))?;
+            if let Some(taken) = &mut taken {
+                taken.entry(ingest.to_owned()).or_default();
+            }
+            let observations = match rows {
+                Rows::All => artefact.observe(&data[ingest], model.as_ref()).map(Some),
+                Rows::Some => artefact.observe_some(&data[ingest], model.as_ref()),
+            };
+            let Some(observations) = observations.map_err(|error| error.stage(name))? else { continue };
+            let set = self.set(name, observations, &model, data, Wanted::Seen)?;
+            if let Some(taken) = &mut taken {
+                take(taken, ingest, &set);
+            }
+            sets.push(set);
+        }
         let of_machine = model.info().parameters.iter().map(|parameter| parameter.name.clone());
         let of_ties = stage.ties.iter().map(|tie| tie.to.clone());
         let of_sets = sets
@@ -225,7 +297,9 @@ impl Prepared {
     /// The estimate of all parts; `known` are their answers at the start. This is the recipe of one of them.
     pub fn of_parts(&self, estimate: &str, known: &[Arc<Part>], parts: &dyn Parts) -> Result<OfParts> {
         let stage = self.recipe_stage(estimate)?;
-        let problem = self.located(stage, self.problem_of_parts(stage, known))?;
+        let data = self.read(&Monitor::default(), None)?;
+        let model = self.built_machine(stage, &data)?;
+        let problem = self.located(stage, self.problem_of_parts(stage, model, known))?;
         let estimator = self.estimators[&stage.name].clone();
         let mut calibration = self.located(stage, estimator.estimate_parts(&problem, parts))?;
         for part in known {
@@ -240,40 +314,55 @@ impl Prepared {
     }
 
     /// The problem with the unknowns of all parts, and without rows.
-    fn problem_of_parts(&self, stage: &Stage, known: &[Arc<Part>]) -> Result<Problem> {
-        let (data, mut taken) = (self.read(&Monitor::default(), None)?, Taken::default());
-        let own = self.part_problem(stage, None, &data, &mut taken)?;
-        let record = own.model_record();
+    pub(crate) fn problem_of_parts(
+        &self,
+        stage: &Stage,
+        model: Arc<dyn KinematicModel>,
+        known: &[Arc<Part>],
+    ) -> Result<Problem> {
+        let record = ModelRecord { plugin: self.model_plugin(stage)?, settings: model.info().settings.clone() };
         if known.iter().any(|part| part.model != record) {
-            let error = Error::data("the machine takes settings from its data, and they differ from part to part");
-            return Err(
-                error.help("state in the recipe what the machine takes from the data: the time scale of a drift")
-            );
+            return Err(differing_machines());
         }
-        let sets = own.sets.iter().map(|set| joined(set, known, own.model.as_ref()));
-        let sets = sets.collect::<Result<Vec<ObservationSet>>>()?;
-        let plugin = self.model_plugin(stage)?;
-        Problem::with_ties(&stage.name, &plugin, own.model.clone(), sets, (&stage.parameters, &stage.ties))
+        let names = stage.reference("observations").iter();
+        let sets = names.map(|name| self.joined(name, known, model.as_ref())).collect::<Result<Vec<_>>>()?;
+        Problem::with_ties(&stage.name, &record.plugin, model, sets, (&stage.parameters, &stage.ties))
+    }
+
+    /// The observations of one artefact in all parts, without rows.
+    fn joined(&self, name: &str, known: &[Arc<Part>], model: &dyn KinematicModel) -> Result<ObservationSet> {
+        let mut of_parts = known.iter().flat_map(|part| &part.sets).filter(|set| set.name == name);
+        let Some(mut all) = of_parts.next().cloned() else {
+            let (ingest, _) = self.artefact(name)?;
+            let error = Error::data(format!("no row of `{ingest}` is one of `{name}`")).stage(name);
+            return Err(error.help("`feature` in the data and in the nominal file have to agree"));
+        };
+        of_parts.try_for_each(|own| all.join(own))?;
+        let layout = Layout::new(&Arc::new(abbe_core::Dataset::default()), model, &[])?;
+        let contact = Contact::NotSimulated("its rows lie in parts".to_owned());
+        let info = ObservationsInfo {
+            start: all.start,
+            inputs: all.inputs,
+            orientation: all.orientation,
+            ..ObservationsInfo::new(layout, all.unknowns, contact)
+        };
+        let mut joined = ObservationSet::new(name, Arc::new(WithoutRows(info)));
+        joined.ids = all.ids;
+        Ok(joined)
     }
 }
 
-/// The observations of one artefact in all parts, without rows.
-fn joined(set: &ObservationSet, known: &[Arc<Part>], model: &dyn KinematicModel) -> Result<ObservationSet> {
-    let mut all =
-        PartSet { unknowns: Vec::new(), start: Vec::new(), inputs: Vec::new(), ids: Vec::new(), ..PartSet::of(set) };
-    for part in known {
-        part.sets.iter().filter(|own| own.name == set.name).try_for_each(|own| all.join(own))?;
-    }
-    let none = Arc::new(abbe_core::Dataset::default());
-    let layout = Layout::new(&none, model, &[])?;
-    let contact = Contact::NotSimulated("its rows lie in parts".to_owned());
-    let info = ObservationsInfo {
-        start: all.start,
-        inputs: all.inputs,
-        orientation: set.info().orientation,
-        ..ObservationsInfo::new(layout, all.unknowns, contact)
-    };
-    let mut joined = ObservationSet::new(&set.name, Arc::new(WithoutRows(info)));
-    joined.ids = all.ids;
-    Ok(joined)
+/// Which rows of a data set an artefact observes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Rows {
+    /// All that there are.
+    All,
+    /// Some of them: others are in other parts.
+    Some,
+}
+
+/// The values of the unknowns of a problem, by name; those without one are at their start.
+pub(crate) fn values_at(problem: &Problem, at: &BTreeMap<String, f64>) -> Vec<f64> {
+    let values = problem.unknowns.iter().zip(problem.start());
+    values.map(|(unknown, start)| at.get(&unknown.name).copied().unwrap_or(start)).collect()
 }

@@ -13,7 +13,8 @@ use serde_json::{Value, json};
 
 use crate::folder::write_folder;
 use crate::prepare::Prepared;
-use crate::run::{Datasets, Taken, has_rows};
+use crate::problems::Taken;
+use crate::run::{Datasets, has_rows};
 
 /// Chosen measurements, in memory.
 #[derive(Clone)]

@@ -5,9 +5,11 @@ use std::sync::Arc;
 
 use abbe_core::{Error, Fit, Kind, ObservationSet, Problem, Result, Validate};
 
+use crate::batches::InBatches;
 use crate::prepare::Prepared;
+use crate::problems::Taken;
 use crate::row_settings::Wanted;
-use crate::run::{Datasets, Taken};
+use crate::run::Datasets;
 
 /// Problems without unknowns on the rows that validators predict, by validator and estimate.
 pub(crate) type Predicted<'a> = BTreeMap<(&'a str, &'a str), Problem>;
@@ -17,13 +19,15 @@ impl Prepared {
     pub(crate) fn predicted<'a>(
         &'a self,
         problems: &BTreeMap<String, Problem>,
+        batches: &InBatches<'_>,
         data: &Datasets,
         taken: &mut Taken,
     ) -> Result<Predicted<'a>> {
         let mut predicted = BTreeMap::new();
         for stage in self.stages(Kind::Validate).filter(|stage| !stage.reference("observations").is_empty()) {
             for name in stage.reference("of") {
-                let Some(problem) = problems.get(&self.own_estimate(name)?.name) else { continue };
+                let own = &self.own_estimate(name)?.name;
+                let Some(problem) = problems.get(own).or_else(|| batches.problem(own)) else { continue };
                 let model = &problem.model;
                 let sets = self.sets(stage.reference("observations"), model, data, Wanted::Predicted, taken);
                 let sets = self.located(stage, sets)?;

@@ -234,6 +234,7 @@ impl Prepared {
     /// Checks stages against each other: columns against the machine, observations that a validator names.
     fn check_stage(&self, stage: &Stage) -> Result<()> {
         self.check_groups(stage)?;
+        self.check_batches(stage)?;
         match stage.kind {
             Kind::Ingest if self.is_planned(&stage.name) => Ok(()),
             Kind::Ingest => self.headers(&stage.name).map(drop),
@@ -255,7 +256,8 @@ impl Prepared {
                 self.check_machines(stage, self.validators[&stage.name].accepts_readings())?;
                 for fit in stage.reference("of") {
                     let estimate = self.own_estimate(fit)?;
-                    if others.is_empty() && !has_rows(&estimate) && self.validators[&stage.name].needs_rows() {
+                    let has_rows = has_rows(&estimate) && !self.has_batches(estimate);
+                    if others.is_empty() && !has_rows && self.validators[&stage.name].needs_rows() {
                         let message = format!(
                             "`{}` asks about the rows that an estimate was made of, and `{fit}` brings none",
                             stage.plugin

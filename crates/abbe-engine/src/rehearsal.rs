@@ -14,6 +14,7 @@ use abbe_core::{
 use abbe_estimation::calibration;
 use abbe_recipe::Stage;
 
+use crate::batches::InBatches;
 use crate::groups::{GroupProblem, is_of};
 use crate::prediction::{Predicted, prediction_fit};
 use crate::prepare::Prepared;
@@ -73,7 +74,11 @@ impl Prepared {
     pub(crate) fn rehearse(
         &self,
         libraries: bool,
-        (problems, groups): (&BTreeMap<String, Problem>, &BTreeMap<String, Vec<GroupProblem>>),
+        (problems, groups, batches): (
+            &BTreeMap<String, Problem>,
+            &BTreeMap<String, Vec<GroupProblem>>,
+            &InBatches<'_>,
+        ),
         found: &BTreeMap<String, Identifiability>,
         unseen: &Predicted,
         data: &Datasets,
@@ -82,7 +87,10 @@ impl Prepared {
         for stage in self.stages(Kind::Estimate) {
             match groups.get(&stage.name) {
                 Some(groups) => fits.extend(groups.iter().map(expected_of_group)),
-                None => fits.extend(self.expected(stage, problems, found, &fits)?),
+                None => {
+                    let problem = problems.get(&stage.name).or_else(|| batches.problem(&stage.name));
+                    fits.extend(self.expected(stage, problem, found, &fits)?);
+                }
             }
         }
         let is_asked = |stage: &Stage| {
@@ -119,11 +127,11 @@ impl Prepared {
     fn expected(
         &self,
         stage: &Stage,
-        problems: &BTreeMap<String, Problem>,
+        problem: Option<&Problem>,
         found: &BTreeMap<String, Identifiability>,
         fits: &[Fit],
     ) -> Result<Option<Fit>> {
-        let Some(problem) = problems.get(&stage.name) else { return Ok(self.of_other(stage, fits)) };
+        let Some(problem) = problem else { return Ok(self.of_other(stage, fits)) };
         let estimator = self.estimators[&stage.name].clone();
         if let Some(saved) = self.saved.get(&stage.name) {
             return Ok(fit_without_rows(saved.calibration.clone(), problem.model.clone(), estimator).ok());
@@ -139,6 +147,9 @@ impl Prepared {
         let budget = found.get(&stage.name).and_then(|found| found.uncertainty.clone());
         let estimator = Unsolved { budget };
         let calibration = estimator.expected(problem);
+        if self.has_batches(stage) {
+            return Ok(fit_without_rows(calibration, problem.model.clone(), Arc::new(estimator)).ok());
+        }
         let (name, problem) = (stage.name.clone(), Arc::new(problem.clone()));
         Ok(Some(Fit { name, problem, estimator: Arc::new(estimator), calibration }))
     }

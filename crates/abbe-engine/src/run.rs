@@ -1,34 +1,35 @@
 //! Runs the graph: data sets, then estimates, validators and exporters.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use abbe_core::{
-    Class, DataRecord, DataRow, Dataset, Error, EstimateSource, Event, Export, ExportedFile, Findings, Fit, Kind,
-    KinematicModel, Monitor, ObservationSet, Problem, Result, Verdict, in_parallel,
+    Class, DataRecord, Dataset, Error, EstimateSource, Event, Export, ExportedFile, Findings, Fit, Kind, Monitor, ObservationSet, Problem, Result, Verdict, in_parallel,
 };
 use abbe_estimation::{copies, remarks};
 use abbe_recipe::Stage;
 
+use crate::batches::{InBatches, Sources};
 use crate::evidence;
 use crate::groups::{GroupProblem, is_of};
 use crate::outcome::{Failure, Outcome};
-use crate::plausibility::{check_stated, check_tips, check_uncertainties};
+use crate::plausibility::check_uncertainties;
 use crate::prediction::{Predicted, prediction_fit};
 use crate::prepare::Prepared;
+use crate::problems::Taken;
 use crate::readings::has_readings;
 use crate::record::{FileRecord, Remark, Stamp, changed, input_records, sha256, stamp, unchanged};
-use crate::row_settings::Wanted;
 use crate::saved::fit_without_rows;
 use crate::statuses;
-use crate::travel::{check_travel, in_travel};
-use crate::units::{doubts, tell_minutes};
+use crate::travel::in_travel;
+use crate::units::doubts;
 
 /// What is known before the first fit.
 struct Known<'a> {
     problems: &'a BTreeMap<String, Problem>,
+    batches: &'a InBatches<'a>,
     groups: &'a BTreeMap<String, Vec<GroupProblem>>,
     data: &'a Datasets,
     evidence: &'a BTreeMap<String, Vec<DataRecord>>,
@@ -53,28 +54,42 @@ impl Prepared {
             return Err(changed(&self.recipe.path));
         }
         self.same_content(&inputs).iter().for_each(|sentence| tracing::warn!("{sentence}"));
-        let data = self.read(monitor, None)?;
-        let inputs = self.with_given(inputs, &data)?;
+        // What is wrong with a file that has changed meanwhile is not wrong with the file that there was.
+        let unless_changed = |error| unchanged(&seen, &inputs).err().unwrap_or(error);
+        let sources = self.sources().map_err(unless_changed)?;
+        let data = self.read_with(monitor, &sources).map_err(unless_changed)?;
+        let inputs = self.with_given(inputs.clone(), &data)?;
         let mut taken = Taken::default();
-        let problems = self.problems(&data, &mut taken)?;
+        let problems = self.problems_of(&data, &mut taken, |stage| !self.has_batches(stage))?;
+        let batches =
+            InBatches::new(self, sources, &data, &inputs, monitor, &mut taken).map_err(unless_changed)?;
         let digests = digests(&inputs);
-        let evidence = self.evidence(&problems, &data, &digests)?;
+        let evidence = self.evidence(&problems, &batches, &data, &digests)?;
         let groups = self.group_problems(&data)?;
-        let unseen = self.predicted(&problems, &data, &mut taken)?;
+        let unseen = self.predicted(&problems, &batches, &data, &mut taken)?;
         self.repeated_evidence(&problems, &unseen, &data).iter().for_each(|sentence| tracing::warn!("{sentence}"));
         // Before the first fit, so that a feature that no artefact has is found before a long run.
         self.nothing_left_over(&data, &taken)?;
-        self.rehearse(false, (&problems, &groups), &BTreeMap::new(), &unseen, &data)?;
+        self.rehearse(false, (&problems, &groups, &batches), &BTreeMap::new(), &unseen, &data)?;
         let mut failures = Vec::new();
-        let known = Known { problems: &problems, groups: &groups, data: &data, evidence: &evidence, digests: &digests };
+        let known = Known {
+            problems: &problems,
+            batches: &batches,
+            groups: &groups,
+            data: &data,
+            evidence: &evidence,
+            digests: &digests,
+        };
         let mut fits = self.estimates(&known, monitor, &mut failures)?;
         let implausible = self.implausible(&mut fits)?;
         let from_rows = fits.iter().any(|fit| !fit.problem.sets.is_empty()) || self.has_readings(&fits);
         if let (false, Some(failure)) = (from_rows, failures.first()) {
             // Nothing was made of measurements: an earlier run keeps its results.
-            return Err(failure.error.clone());
+            return Err(unless_changed(failure.error.clone()));
         }
+        let fits = batches.without_rows(fits)?;
         let (verdicts, mut exports) = self.verdicts(&fits, &unseen, &data, monitor, &mut failures)?;
+        let (fits, shown) = with_rows_to_show(fits, &batches, monitor)?;
         exports.extend(self.exports(&fits, monitor, &mut failures)?);
         // What needs them has been made all the same.
         failures.extend(implausible);
@@ -86,7 +101,7 @@ impl Prepared {
         let of_fits = problems.iter().filter(|(_, problem)| !problem.sets.is_empty()).flat_map(told);
         let of_groups = self.copied_groups(&fits, &problems);
         of_groups.iter().for_each(|remark| tracing::warn!("{}: {}", remark.estimate, remark.text));
-        let remarks = of_fits.chain(of_groups).collect();
+        let remarks = of_fits.chain(of_groups).chain(shown).collect();
         unchanged(&seen, &inputs)?;
         Ok(Outcome {
             recipe: self.recipe.id.clone(),
@@ -130,9 +145,10 @@ impl Prepared {
                 }
                 let problem =
                     known.problems.get(&stage.name).map(|problem| problem.watched_by(monitor.of_stage(&stage.name)));
-                let mut fit = match has_readings(stage) {
-                    true => self.of_readings(stage, known.data)?,
-                    false => self.estimate(stage, problem.as_ref(), &fits, monitor)?,
+                let mut fit = match known.batches.fit(stage, monitor)? {
+                    Some(fit) => fit,
+                    None if has_readings(stage) => self.of_readings(stage, known.data)?,
+                    None => self.estimate(stage, problem.as_ref(), &fits, monitor)?,
                 };
                 fit.calibration.data.clone_from(&known.evidence[&stage.name]);
                 Ok(vec![Ok(fit)])
@@ -299,133 +315,29 @@ impl Prepared {
 
     /// The data sets of all ingest stages; `made` replaces the data of one of them.
     pub(crate) fn read(&self, monitor: &Monitor, made: Option<(&str, &Arc<Dataset>)>) -> Result<Datasets> {
+        self.read_by(monitor, |stage| match made.filter(|(ingest, _)| *ingest == stage.name) {
+            Some((_, made)) => Ok(made.clone()),
+            None => self.ingests[&stage.name].read().map(Arc::new),
+        })
+    }
+
+    /// The same; of what is read in batches the first batch alone.
+    pub(crate) fn read_with(&self, monitor: &Monitor, sources: &Sources<'_>) -> Result<Datasets> {
+        self.read_by(monitor, |stage| match sources.get(&stage.name) {
+            Some(source) => source.read(0).map(|batch| Arc::new(batch.data)),
+            None => self.ingests[&stage.name].read().map(Arc::new),
+        })
+    }
+
+    fn read_by(&self, monitor: &Monitor, read: impl Fn(&Stage) -> Result<Arc<Dataset>>) -> Result<Datasets> {
         let mut data = BTreeMap::new();
         for stage in self.stages(Kind::Ingest) {
             self.started(stage, monitor)?;
-            let read = match made.filter(|(ingest, _)| *ingest == stage.name) {
-                Some((_, made)) => made.clone(),
-                None => Arc::new(self.located(stage, self.ingests[&stage.name].read())?),
-            };
+            let read = self.located(stage, read(stage))?;
             doubts(&read).iter().for_each(|told| tracing::warn!("{}: {told}", stage.name));
             data.insert(stage.name.clone(), read);
         }
         Ok(data)
-    }
-
-    /// The problems of all estimates, those of calibrations from outside this recipe included.
-    pub(crate) fn problems(&self, data: &Datasets, taken: &mut Taken) -> Result<BTreeMap<String, Problem>> {
-        let mut problems = BTreeMap::new();
-        for stage in self.stages(Kind::Estimate).filter(has_problem) {
-            let problem = self.located(stage, self.problem(stage, data, taken))?;
-            self.located(stage, self.plausible[&stage.name].check_names(&problem))?;
-            problems.insert(stage.name.clone(), problem);
-        }
-        Ok(problems)
-    }
-
-    /// Model and observations of an estimate.
-    pub(crate) fn problem(&self, stage: &Stage, data: &Datasets, taken: &mut Taken) -> Result<Problem> {
-        self.problem_on(stage, self.built_machine(stage, data)?, data, taken)
-    }
-
-    /// The same on a machine that is there.
-    pub(crate) fn problem_on(
-        &self,
-        stage: &Stage,
-        model: Arc<dyn KinematicModel>,
-        data: &Datasets,
-        taken: &mut Taken,
-    ) -> Result<Problem> {
-        let names = stage.reference("observations");
-        let sets = self.sets(names, &model, data, Wanted::Seen, taken)?;
-        let plugin = self.model_plugin(stage)?;
-        match stage.parameters.as_slice() {
-            // All parameters of the machine, which are stated or known.
-            [] if stage.estimate_source != EstimateSource::Measurements => {
-                Problem::new(&stage.name, &plugin, model, sets, &["*".to_owned()])
-            }
-            patterns => Problem::with_ties(&stage.name, &plugin, model.clone(), sets, (patterns, &stage.ties))
-                .map_err(|error| self.with_substitute(stage, model.as_ref(), error)),
-        }
-    }
-
-    /// Name of the plugin of an estimate's model.
-    pub(crate) fn model_plugin(&self, estimate: &Stage) -> Result<String> {
-        let stage = self.machine_stage(estimate)?;
-        let saved = self.saved.get(&stage.name);
-        Ok(saved.map_or_else(|| stage.plugin.clone(), |saved| saved.calibration.model.plugin.clone()))
-    }
-
-    /// The machine of an estimate. If it is that of another estimate, it has the settings that follow from the data of that
-    /// estimate.
-    pub(crate) fn built_machine(&self, stage: &Stage, data: &Datasets) -> Result<Arc<dyn KinematicModel>> {
-        let named = stage.reference("machine").first().or(stage.reference("of").first());
-        if let Some(name) = named {
-            let other = self.recipe_stage(name)?;
-            if other.kind == Kind::Estimate {
-                return self.built_machine(other, data);
-            }
-        }
-        let names = stage.reference("observations");
-        let mut rows: Vec<(&str, &Dataset)> = Vec::new();
-        for name in names {
-            let (ingest, _) = self.artefact(name)?;
-            if !rows.iter().any(|(own, _)| *own == ingest) {
-                rows.push((ingest, data[ingest].as_ref()));
-            }
-        }
-        let (machine, model) = self.machine(stage)?;
-        let logs = self.logs(machine, |log| Ok(data[log].clone()))?;
-        tell_minutes(&rows, &logs);
-        let used: Vec<&Dataset> = rows.into_iter().map(|(_, rows)| rows).chain(&logs).collect();
-        model.build(&used).map_err(|error| error.stage(&machine.name))
-    }
-
-    /// The observation sets of some artefact stages on a machine.
-    pub(crate) fn sets(
-        &self,
-        names: &[String],
-        model: &Arc<dyn KinematicModel>,
-        data: &Datasets,
-        wanted: Wanted,
-        taken: &mut Taken,
-    ) -> Result<Vec<ObservationSet>> {
-        let mut sets = Vec::new();
-        for name in names {
-            let (ingest, artefact) = self.artefact(name)?;
-            check_tips(&data[ingest], model.as_ref()).map_err(|error| error.stage(ingest))?;
-            let observations = artefact.observe(&data[ingest], model.as_ref()).map_err(|error| error.stage(name))?;
-            let rows = observations.info().layout.rows.iter().filter_map(|row| row.data_row);
-            let merged = observations.info().layout.merged.iter().copied();
-            taken.entry(ingest.to_owned()).or_default().extend(rows.chain(merged));
-            let repeats = self.repeats(name)?.map(|repeats| artefact.observe(&data[repeats], model.as_ref()));
-            let repeats = repeats.transpose().map_err(|error| error.stage(name))?;
-            let set = self.rows[name].set(name, observations, repeats, model, wanted);
-            let set = set.map_err(|error| error.stage(name))?;
-            check_travel(&set, model.as_ref()).and_then(|()| check_stated(&set)).map_err(|error| error.stage(name))?;
-            sets.push(set);
-        }
-        Ok(sets)
-    }
-
-    /// Fails if a row was used by no artefact: a feature without nominal geometry must not be ignored without a message.
-    pub(crate) fn nothing_left_over(&self, data: &Datasets, taken: &Taken) -> Result<()> {
-        for (ingest, rows) in taken {
-            let data = &data[ingest];
-            let Some(row) = data.row_indices().find(|row| !rows.contains(row)) else { continue };
-            let (feature, ignore) = match data.labels("feature") {
-                Some(labels) => (
-                    format!("feature {} is taken by no artefact", labels[row]),
-                    format!("; or leave it out by `ignore: {{ feature: [{}] }}` in stage `{ingest}`", labels[row]),
-                ),
-                None => ("this row is taken by no artefact".to_owned(), String::new()),
-            };
-            return Err(data
-                .error_at(row, feature)
-                .stage(ingest)
-                .help(format!("add it to the nominal geometry of an artefact that is observed{ignore}")));
-        }
-        Ok(())
     }
 }
 
@@ -457,13 +369,31 @@ fn failed(needed: &[String], failures: &[Failure]) -> Option<impl Fn(&Stage) -> 
     Some(move |stage: &Stage| Failure::of_needed(stage, &failed))
 }
 
+/// Estimates whose rows are read in batches, with some rows that tables of residuals and charts can show; and what to say of these.
+fn with_rows_to_show(
+    mut fits: Vec<Fit>,
+    batches: &InBatches<'_>,
+    monitor: &Monitor,
+) -> Result<(Vec<Fit>, Vec<Remark>)> {
+    let mut all = Vec::new();
+    for fit in &mut fits {
+        match batches.sampled(fit, monitor) {
+            Ok(None) => {}
+            Ok(Some((problem, remarks))) => {
+                fit.problem = Arc::new(problem);
+                all.extend(remarks);
+            }
+            Err(error) if error.class == Class::Interrupted => return Err(error),
+            Err(error) => tracing::warn!("{}: there is no table of residuals: {error}", fit.name),
+        }
+    }
+    Ok((fits, all))
+}
+
 /// The digests of input files.
 pub(crate) fn digests(inputs: &[FileRecord]) -> evidence::Digests {
     inputs.iter().map(|input| (input.file.clone(), input.sha256.clone())).collect()
 }
-
-/// Rows of each data set that some artefact took.
-pub(crate) type Taken = BTreeMap<String, BTreeSet<DataRow>>;
 
 /// The problem with the results of earlier estimates: start values, or known values with their covariance.
 fn start(stage: &Stage, problem: Problem, fits: &[Fit]) -> Result<Problem> {

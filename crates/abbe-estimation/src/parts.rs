@@ -26,6 +26,9 @@ pub fn part_evidence(problem: &Problem, asked: AskedOfPart, at: &[f64]) -> Resul
     check(problem)?;
     let names = |unknowns: &[Unknown]| -> Vec<String> { unknowns.iter().map(|known| known.name.clone()).collect() };
     let own = names(&problem.unknowns);
+    if problem.equations() == 0 {
+        return Ok(of_no_rows(asked, &own));
+    }
     let recorded =
         || -> Result<Option<Triangle>> { Ok(Some(triangle(&own, &Weighted::new(problem)?.factor(at, None)?))) };
     match asked {
@@ -51,6 +54,18 @@ pub fn part_evidence(problem: &Problem, asked: AskedOfPart, at: &[f64]) -> Resul
     }
 }
 
+/// What a part without rows tells: nothing of its unknowns.
+fn of_no_rows(asked: AskedOfPart, own: &[String]) -> PartEvidence {
+    let rows = || Some(triangle(own, &Accumulator::new(own.len(), 0).finish()));
+    match asked {
+        AskedOfPart::Start => PartEvidence { recorded: rows(), nominal: rows(), ..PartEvidence::default() },
+        AskedOfPart::Rows => PartEvidence { recorded: rows(), ..PartEvidence::default() },
+        AskedOfPart::Solution => {
+            PartEvidence { residuals: Some(ResidualSums::default()), ..PartEvidence::default() }
+        }
+    }
+}
+
 /// Refuses rows that depend on rows of other parts.
 fn check(problem: &Problem) -> Result<()> {
     let refused = |set: usize, what: &str| {
@@ -72,6 +87,61 @@ fn check(problem: &Problem) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// What two parts of the rows tell together, as one part.
+///
+/// Fails for answers to different questions.
+pub fn joined_evidence(one: &PartEvidence, other: &PartEvidence) -> Result<PartEvidence> {
+    let both = |one: &Option<Triangle>, other: &Option<Triangle>| match (one, other) {
+        (Some(one), Some(other)) => joined_triangle(one, other).map(Some),
+        (None, None) => Ok(None),
+        _ => Err(nothing()),
+    };
+    let mut in_contact = one.in_contact.clone();
+    for (set, triangle) in &other.in_contact {
+        match in_contact.iter_mut().find(|(known, _)| known == set) {
+            Some((_, known)) => *known = joined_triangle(known, triangle)?,
+            None => in_contact.push((set.clone(), triangle.clone())),
+        }
+    }
+    let residuals = match (&one.residuals, &other.residuals) {
+        (Some(one), Some(other)) => Some(one.with(other)),
+        (None, None) => None,
+        _ => return Err(nothing()),
+    };
+    Ok(PartEvidence {
+        recorded: both(&one.recorded, &other.recorded)?,
+        nominal: both(&one.nominal, &other.nominal)?,
+        in_contact,
+        residuals,
+    })
+}
+
+/// The triangle of the rows of both, with the columns of both.
+fn joined_triangle(one: &Triangle, other: &Triangle) -> Result<Triangle> {
+    let mut columns = one.columns.clone();
+    let known: BTreeSet<&String> = one.columns.iter().collect();
+    columns.extend(other.columns.iter().filter(|column| !known.contains(column)).cloned());
+    let places = columns.iter().enumerate().map(|(place, column)| (column.as_str(), place)).collect();
+    let mut accumulator = Accumulator::new(columns.len(), columns.len() + other.columns.len() + 2);
+    for line in wide_lines(&places, columns.len(), one)?.into_iter().chain(wide_lines(&places, columns.len(), other)?) {
+        accumulator.push(&line[..columns.len()], line[columns.len()], 1.0);
+    }
+    Ok(triangle(&columns, &accumulator.finish().of_rows(one.rows + other.rows)))
+}
+
+/// The lines of a triangle with a place for each of the first `count` columns, and the residual.
+fn wide_lines(places: &BTreeMap<&str, usize>, count: usize, triangle: &Triangle) -> Result<Vec<Vec<f64>>> {
+    let place = |name: &String| places.get(name.as_str()).copied().filter(|place| *place < count);
+    let places: Option<Vec<usize>> = triangle.columns.iter().map(place).collect();
+    let (places, lines) = places.zip(triangle.lines()).ok_or_else(nothing)?;
+    let wide = |line: Vec<f64>| {
+        let mut all = vec![0.0; count + 1];
+        places.iter().chain([&count]).zip(line).for_each(|(place, value)| all[*place] = value);
+        all
+    };
+    Ok(lines.into_iter().map(wide).collect())
 }
 
 /// A factor with the names of its columns.
@@ -166,24 +236,11 @@ impl<'a> RowsInParts<'a> {
         for triangle in triangles {
             let triangle = triangle.ok_or_else(nothing)?;
             rows += triangle.rows;
-            for line in self.lines(count, triangle)? {
+            for line in wide_lines(&self.columns, count, triangle)? {
                 accumulator.push(&line[..count], line[count], 1.0);
             }
         }
         Ok(accumulator.finish().of_rows(rows))
-    }
-
-    /// The lines of a triangle with a place for each of the first `count` columns, and the residual.
-    fn lines(&self, count: usize, triangle: &Triangle) -> Result<Vec<Vec<f64>>> {
-        let place = |name: &String| self.columns.get(name.as_str()).copied().filter(|place| *place < count);
-        let places: Option<Vec<usize>> = triangle.columns.iter().map(place).collect();
-        let (places, lines) = places.zip(triangle.lines()).ok_or_else(nothing)?;
-        let wide = |line: Vec<f64>| {
-            let mut all = vec![0.0; count + 1];
-            places.iter().chain([&count]).zip(line).for_each(|(place, value)| all[*place] = value);
-            all
-        };
-        Ok(lines.into_iter().map(wide).collect())
     }
 }
 
@@ -221,7 +278,7 @@ impl LeastSquares for RowsInParts<'_> {
         // All of them: a process that asks others asks all at once.
         for evidence in self.all(asked, x)? {
             let triangle = evidence.recorded.as_ref().ok_or_else(nothing)?;
-            for line in self.lines(count, triangle)? {
+            for line in wide_lines(&self.columns, count, triangle)? {
                 sink(first, &line[count..], &line[..count]);
                 first += 1;
             }

@@ -285,6 +285,24 @@ impl UncertaintyEvaluation {
         Ok(found)
     }
 
+    /// The same of rows in parts, whose budget is that of the rows as they were recorded. Parts tell no motion errors with the same effect
+    /// on the tip, and nothing of what would tell lost directions apart.
+    pub fn identify_parts(&self, rows: &RowsInParts<'_>) -> Result<Identifiability> {
+        let (problem, factor) = (rows.problem(), rows.at_nominal_geometry()?);
+        let mut found = identifiability(problem, &factor, self.rank_tolerance);
+        found.weakest = weakest(problem, &factor.spectrum(), found.rank);
+        found.remarks.extend(ill_conditioned(problem, &factor, self.rank_tolerance));
+        if found.rank == found.unknowns {
+            let SolutionOfParts { of_sets, extended, .. } = rows.at_solution(&problem.start())?;
+            let own = |factor: &Factor| factor.without_unknowns(|column| column >= problem.unknowns.len());
+            let of_sets: Vec<Factor> = of_sets.iter().map(own).collect();
+            let (root, scale) = (factor.covariance_root(found.rank), AposterioriFactors::Common(1.0, f64::INFINITY));
+            let propagation = Propagation::of_factors(problem, &root, (&of_sets, &extended), scale);
+            found.uncertainty = Some(propagation.budget(problem, self.coverage_probability));
+        }
+        Ok(found)
+    }
+
     /// The a-posteriori factors on stated uncertainties, and their degrees of freedom.
     fn scales(&self, statistics: &ResidualStatistics, components: Option<&VarianceComponents>) -> AposterioriFactors {
         match components {

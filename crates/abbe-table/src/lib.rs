@@ -7,6 +7,7 @@
 //! instruments and spreadsheets that are written otherwise: nothing of it is guessed. A file may be packed by gzip or
 //! Zstandard: its content decides, and lines are those of what is packed. Tables that come by columns ([`DataOfColumns`]) have the same meaning.
 
+mod batches;
 mod columns;
 mod layout;
 mod number;
@@ -25,6 +26,7 @@ use std::path::{Path, PathBuf};
 use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Quantity, Result, Values};
 
 pub use abbe_core::ranges::TEMPERATURES;
+pub use batches::FileInBatches;
 pub use columns::{DataOfColumns, NamedColumns};
 pub use layout::{ColumnSource, Decimal, Encoding, Layout, Separator, Thousands, Unit};
 pub use number::{number, number_in};
@@ -195,17 +197,27 @@ pub struct Touched {
 /// Sorts rows by the nominal feature that each touches, none for rows of other artefacts. A feature that nobody touched is
 /// left out.
 pub fn touched(of_rows: &[Option<usize>], nominal: &Path) -> Result<Touched> {
+    touched_by_some(of_rows).ok_or_else(|| untouched(nominal))
+}
+
+/// The error for rows none of which touches a feature.
+pub fn untouched(nominal: &Path) -> Error {
+    Error::data(format!("no row touches a feature of {}", nominal.display()))
+        .help("`feature` in the data and in the nominal file have to agree")
+}
+
+/// As [`touched`], of rows of which none may touch a feature: then there is nothing.
+pub fn touched_by_some(of_rows: &[Option<usize>]) -> Option<Touched> {
     let mut features: Vec<usize> = of_rows.iter().flatten().copied().collect();
     features.sort_unstable();
     features.dedup();
     if features.is_empty() {
-        let error = Error::data(format!("no row touches a feature of {}", nominal.display()));
-        return Err(error.help("`feature` in the data and in the nominal file have to agree"));
+        return None;
     }
     let place = |feature: usize| features.binary_search(&feature).ok();
     let rows = DataRow::enumerate(of_rows);
     let rows = rows.filter_map(|(row, feature)| feature.and_then(place).map(|place| (row, place))).collect();
-    Ok(Touched { rows, features })
+    Some(Touched { rows, features })
 }
 
 /// The points that three columns of lengths hold (`["x", "y", "z"]`), mm, one a row.

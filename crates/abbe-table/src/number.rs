@@ -25,8 +25,19 @@ pub fn number_in(header: &str, cell: &str, unit: Option<Unit>, decimal: Decimal)
 
 /// The same with a unit other than that of the header, and as a layout writes numbers.
 pub(crate) fn number_of(header: &str, cell: &str, unit: Option<Unit>, layout: &Layout) -> Result<f64, String> {
-    let cell = cell.trim();
     let (_, quantity, factor) = Quantity::of_column(header);
+    number_in_column(header, (quantity, factor), cell, unit, layout)
+}
+
+/// The same where the quantity of the column is known, and the factor to the unit used in memory: a file has many cells.
+pub(crate) fn number_in_column(
+    header: &str,
+    (quantity, factor): (Quantity, f64),
+    cell: &str,
+    unit: Option<Unit>,
+    layout: &Layout,
+) -> Result<f64, String> {
+    let cell = cell.trim();
     let read = |written: &str| match unit {
         Some(unit) => unit.read(written),
         None => written.parse().ok().map(|value: f64| value * factor),
@@ -129,7 +140,7 @@ pub(crate) fn plain(cell: &str, decimal: Decimal, thousands: Thousands) -> Optio
         written = format!("-{rest}").into();
     }
     let separators = thousands.characters();
-    if written.contains(separators) {
+    if !separators.is_empty() && written.contains(separators) {
         let sign = written.len() - written.trim_start_matches(['+', '-']).len();
         let decimal = decimal.character();
         let end = written.find([decimal, 'e', 'E']).unwrap_or(written.len());

@@ -7,7 +7,7 @@ use std::path::Path;
 use abbe_core::{Class, Column, ColumnHeader, Dataset, Error, Quantity, Result, RowOrigin, Values};
 
 use crate::layout::{Encoding, Layout, Separator, Unit};
-use crate::number::{help_for, number_of, shown};
+use crate::number::{help_for, number_in_column, shown};
 use crate::text::{newlines, read_line, text};
 use crate::{empty_column, unreadable};
 
@@ -60,51 +60,13 @@ pub(crate) fn headers_laid_out(path: &Path, bytes: &[u8], layout: &Layout) -> Re
 /// The data set of one file, and the number of rows that are left out because a number was not measured.
 pub(crate) fn dataset(path: &Path, bytes: &[u8], layout: &Layout) -> Result<(Dataset, usize)> {
     let text = text(path, bytes, layout.encoding)?;
-    let Table { mut records, taken, mut width } = Table::begin(path, &text, layout)?;
-    let mut columns: Vec<Column> = taken.iter().map(|column| empty_column(column.header.clone())).collect();
-    let (mut origins, mut row, mut numbers) = (Vec::new(), 0, Vec::new());
+    let Table { mut records, taken, width } = Table::begin(path, &text, layout)?;
     for _ in 0..layout.skip_after_header {
         records.advance()?;
     }
-    // Room for all rows at once: a column that grows would take twice as much for a while. Each cell of a row takes a byte at least.
-    let rows = newlines(&text).min(text.len() / columns.len().max(1)).saturating_add(1);
-    for column in &mut columns {
-        match &mut column.values {
-            Values::Numbers(numbers) => numbers.reserve_exact(rows),
-            Values::Labels(labels) => labels.reserve_exact(rows),
-        }
-    }
-    while records.advance()? {
-        row += 1;
-        let found = records.cells.len();
-        let expected = *width.get_or_insert(found);
-        if found != expected {
-            return Err(ragged(path, records.line, found, expected));
-        }
-        if taken.iter().any(|column| column.is_absent(&records, layout)) {
-            continue;
-        }
-        numbers.clear();
-        for column in taken.iter().filter(|column| column.header.quantity != Quantity::Label) {
-            let cell = records.cell(column)?;
-            numbers.push(number_of(&column.header.header, cell, column.unit, layout).map_err(|message| {
-                let error = records.at_cell(Error::data(message), column.index);
-                match help_for(&column.header.header, cell, layout) {
-                    Some(help) => error.help(help),
-                    None => error,
-                }
-            })?);
-        }
-        let mut number = numbers.iter();
-        for (column, taken) in columns.iter_mut().zip(&taken) {
-            match &mut column.values {
-                Values::Numbers(numbers) => numbers.extend(number.next()),
-                Values::Labels(labels) => labels.push(records.cell(taken)?.trim().to_owned()),
-            }
-        }
-        origins.push(RowOrigin { file: 0, line: records.line, row });
-    }
-    if origins.is_empty() {
+    let rows = Rows { taken: &taken, width, before: 0 };
+    let (data, row) = rows.read(records, layout, &text)?;
+    if data.origins.is_empty() {
         let (message, help) = match row {
             0 if newlines(&text) == 0 => (
                 "the file is one line: names of columns, and no rows of data",
@@ -115,18 +77,99 @@ pub(crate) fn dataset(path: &Path, bytes: &[u8], layout: &Layout) -> Result<(Dat
         };
         return Err(Error::data(message).in_file(path).help(help));
     }
-    let left_out = row - origins.len();
-    Ok((
-        Dataset {
-            columns,
-            origins,
-            files: vec![path.to_owned()],
-            averaged: false,
-            is_log: false,
-            stated_tips: Vec::new(),
-        },
-        left_out,
-    ))
+    let left_out = row - data.origins.len();
+    Ok((data, left_out))
+}
+
+/// The columns of a file, without what its rows hold.
+pub(crate) struct Head {
+    taken: Vec<Taken>,
+    /// Cells of a row, if a header row says so.
+    pub(crate) width: Option<usize>,
+}
+
+impl Head {
+    /// The columns of a file that begins with this text.
+    pub(crate) fn new(path: &Path, text: &str, layout: &Layout) -> Result<Self> {
+        let Table { taken, width, .. } = Table::begin(path, text, layout)?;
+        Ok(Self { taken, width })
+    }
+
+    /// The rows of a part of the file, which begins after so many lines and rows of data; and how many are left out because a number was
+    /// not measured. None may be left.
+    pub(crate) fn part(
+        &self,
+        path: &Path,
+        text: &str,
+        [lines, rows]: [usize; 2],
+        layout: &Layout,
+    ) -> Result<(Dataset, usize)> {
+        let mut records = Records::new(path, text, layout.separator);
+        records.line += lines;
+        let (data, row) =
+            Rows { taken: &self.taken, width: self.width, before: rows }.read(records, layout, text)?;
+        let left_out = row - rows - data.origins.len();
+        Ok((data, left_out))
+    }
+}
+
+/// Rows of data of one file.
+struct Rows<'a> {
+    taken: &'a [Taken],
+    /// Cells of a row, if that is known.
+    width: Option<usize>,
+    /// Rows of data before them.
+    before: usize,
+}
+
+impl Rows<'_> {
+    /// The data set, and the number of the last row of data in the file.
+    fn read(&self, mut records: Records<'_>, layout: &Layout, text: &str) -> Result<(Dataset, usize)> {
+        let Self { taken, mut width, before } = *self;
+        let mut columns: Vec<Column> = taken.iter().map(|column| empty_column(column.header.clone())).collect();
+        let (mut origins, mut row, mut numbers) = (Vec::new(), before, Vec::new());
+        // Room for all rows at once: a column that grows would take twice as much for a while. Each cell of a row takes a byte at least.
+        let rows = newlines(text).min(text.len() / columns.len().max(1)).saturating_add(1);
+        for column in &mut columns {
+            match &mut column.values {
+                Values::Numbers(numbers) => numbers.reserve_exact(rows),
+                Values::Labels(labels) => labels.reserve_exact(rows),
+            }
+        }
+        while records.advance()? {
+            row += 1;
+            let found = records.cells.len();
+            let expected = *width.get_or_insert(found);
+            if found != expected {
+                return Err(ragged(records.path, records.line, found, expected));
+            }
+            if taken.iter().any(|column| column.is_absent(&records, layout)) {
+                continue;
+            }
+            numbers.clear();
+            for column in taken.iter().filter(|column| column.header.quantity != Quantity::Label) {
+                let cell = records.cell(column)?;
+                let of_header = (column.header.quantity, column.factor);
+                let number = number_in_column(&column.header.header, of_header, cell, column.unit, layout);
+                numbers.push(number.map_err(|message| {
+                    let error = records.at_cell(Error::data(message), column.index);
+                    match help_for(&column.header.header, cell, layout) {
+                        Some(help) => error.help(help),
+                        None => error,
+                    }
+                })?);
+            }
+            let mut number = numbers.iter();
+            for (column, taken) in columns.iter_mut().zip(taken) {
+                match &mut column.values {
+                    Values::Numbers(numbers) => numbers.extend(number.next()),
+                    Values::Labels(labels) => labels.push(records.cell(taken)?.trim().to_owned()),
+                }
+            }
+            origins.push(RowOrigin { file: 0, line: records.line, row });
+        }
+        Ok((Dataset { columns, origins, files: vec![records.path.to_owned()], ..Dataset::default() }, row))
+    }
 }
 
 /// A column of the data set, and where it stands in the file.
@@ -134,9 +177,16 @@ struct Taken {
     header: ColumnHeader,
     index: usize,
     unit: Option<Unit>,
+    /// From the unit of the header to the one used in memory.
+    factor: f64,
 }
 
 impl Taken {
+    fn new(header: ColumnHeader, index: usize, unit: Option<Unit>) -> Self {
+        let (.., factor) = Quantity::of_column(&header.header);
+        Self { header, index, unit, factor }
+    }
+
     /// Whether the row has the mark of a number that was not measured here.
     fn is_absent(&self, records: &Records, layout: &Layout) -> bool {
         !layout.no_data.is_empty()
@@ -160,7 +210,7 @@ impl<'a> Table<'a> {
             let headers = records.header()?.ok_or_else(|| no_header(path, layout))?;
             let width = Some(headers.len());
             let taken = headers.into_iter().enumerate();
-            let taken = taken.map(|(index, header)| Taken { header, index, unit: None }).collect();
+            let taken = taken.map(|(index, header)| Taken::new(header, index, None)).collect();
             return Ok(Self { records, taken, width });
         };
         let names =
@@ -176,7 +226,7 @@ impl<'a> Table<'a> {
                     })?
                 }
             };
-            taken.push(Taken { header: ColumnHeader::parse(name), index, unit: source.unit });
+            taken.push(Taken::new(ColumnHeader::parse(name), index, source.unit));
         }
         Ok(Self { records, taken, width: names.map(|names| names.len()) })
     }

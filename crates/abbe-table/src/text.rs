@@ -9,7 +9,7 @@ use abbe_core::{Error, Result};
 
 use crate::layout::Encoding;
 
-const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+pub const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
 /// Byte order marks of UTF-16, in which spreadsheets write "Unicode text".
 const OF_UTF_16: [&[u8]; 2] = [b"\xff\xfe", b"\xfe\xff"];
@@ -18,7 +18,7 @@ const OF_UTF_16: [&[u8]; 2] = [b"\xff\xfe", b"\xfe\xff"];
 const OF_UTF_32: [&[u8]; 2] = [b"\xff\xfe\x00", b"\x00\x00\xfe\xff"];
 
 /// Bytes of the longest line of a header: 16 MiB.
-const LONGEST_LINE: usize = 16 << 20;
+pub const LONGEST_LINE: usize = 16 << 20;
 
 /// Whether bytes may be text in UTF-16: they begin with its mark, or every second of the first is zero.
 pub fn may_be_utf_16(bytes: &[u8]) -> bool {
@@ -60,6 +60,20 @@ pub fn text<'a>(path: &Path, bytes: &'a [u8], encoding: Encoding) -> Result<Cow<
         Encoding::Latin1 => characters(path, bytes, encoding_rs::WINDOWS_1252, "Latin-1"),
         Encoding::Gb18030 => characters(path, bytes, encoding_rs::GB18030, "GB 18030"),
     }
+}
+
+/// The same of a part of a file, which begins after so many lines. It may not be in UTF-16.
+pub fn text_of_part<'a>(path: &Path, bytes: &'a [u8], encoding: Encoding, lines: usize) -> Result<Cow<'a, str>> {
+    let text = match encoding {
+        Encoding::Utf8 => utf_8(path, bytes),
+        _ => text(path, bytes, encoding),
+    };
+    text.map_err(|mut error| {
+        if let Some(line) = error.place.as_mut().and_then(|place| place.line.as_mut()) {
+            *line += lines;
+        }
+        error
+    })
 }
 
 /// Text in an encoding of bytes that is none of Unicode's own.

@@ -344,10 +344,14 @@ impl Artefact for Balls {
     }
 
     fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+        self.observe_some(data, model)?.ok_or_else(|| abbe_table::untouched(&self.nominal))
+    }
+
+    fn observe_some(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Option<Arc<dyn Observations>>> {
         let nominal = self.read_nominal()?;
         let uncertainty = self.settings.standard_uncertainty_um * 1e-3;
         let of_rows = self.ball_of_rows(data, &nominal)?;
-        let touched = abbe_table::touched(&of_rows, &self.nominal)?;
+        let Some(touched) = abbe_table::touched_by_some(&of_rows) else { return Ok(None) };
         let balls: Vec<Ball> = touched.features.iter().map(|&ball| nominal[ball].clone()).collect();
         let (mut layout, ball_of_row, centre_by_radius) = match &self.settings.centres_by {
             Some(by) => {
@@ -423,7 +427,7 @@ impl Artefact for Balls {
         };
         let balls = touched_balls;
         let form = self.form.clone();
-        Ok(Arc::new(Touches {
+        Ok(Some(Arc::new(Touches {
             info,
             balls,
             ball_of_row,
@@ -434,7 +438,7 @@ impl Artefact for Balls {
             rows,
             radius,
             form,
-        }))
+        })))
     }
 
     /// Centres that are fitted have several rows, and what certificates state holds for all rows.

@@ -203,11 +203,15 @@ impl Artefact for CalibratedPoints {
     }
 
     fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+        self.observe_some(data, model)?.ok_or_else(|| abbe_table::untouched(self.points.file()))
+    }
+
+    fn observe_some(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Option<Arc<dyn Observations>>> {
         let (points, placements) = (self.points.read(&self.settings)?, self.read_placements()?);
         let known = points.places();
         let labels = abbe_table::labels(data, &self.settings.point)?;
         let of_rows: Vec<Option<usize>> = labels.iter().map(|label| known.get(label.as_str()).copied()).collect();
-        let touched = abbe_table::touched(&of_rows, self.points.file())?;
+        let Some(touched) = abbe_table::touched_by_some(&of_rows) else { return Ok(None) };
         let (placed, directions) = (self.placement_of_rows(data, &placements)?, measured(data)?);
 
         let mut layout = Layout::new(data, model, &[&plain_naming])?;
@@ -233,13 +237,13 @@ impl Artefact for CalibratedPoints {
         let (inputs, errors) = points.errors(&touched.features);
         let info =
             ObservationsInfo { inputs, ..ObservationsInfo::new(layout, unknowns.collect(), Contact::LinearAxes) };
-        Ok(Arc::new(Measured {
+        Ok(Some(Arc::new(Measured {
             info,
             points: touched.features.iter().map(|&point| points.points[point]).collect(),
             errors,
             placements: used.iter().map(|&placement| placements.items[placement].clone()).collect(),
             rows,
-        }))
+        })))
     }
 
     fn rows_are_independent(&self) -> bool {

@@ -259,16 +259,20 @@ impl Artefact for Facets {
     }
 
     fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+        self.observe_some(data, model)?.ok_or_else(|| abbe_table::untouched(&self.nominal))
+    }
+
+    fn observe_some(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Option<Arc<dyn Observations>>> {
         let nominal = self.read_nominal()?;
         self.known(&nominal)?;
         self.as_nominal(&nominal)?;
         let by_label: BTreeMap<&str, usize> =
             nominal.iter().enumerate().map(|(index, facet)| (facet.label.as_str(), index)).collect();
-        let mut layout = Layout::new(data, model, &[&plain_naming])?;
-        let uncertainty = self.settings.standard_uncertainty_um * 1e-3;
         let labels = abbe_table::labels(data, "feature")?.iter();
         let of_rows: Vec<Option<usize>> = labels.map(|label| by_label.get(label.as_str()).copied()).collect();
-        let touched = abbe_table::touched(&of_rows, &self.nominal)?;
+        let Some(touched) = abbe_table::touched_by_some(&of_rows) else { return Ok(None) };
+        let mut layout = Layout::new(data, model, &[&plain_naming])?;
+        let uncertainty = self.settings.standard_uncertainty_um * 1e-3;
         for (row, _) in &touched.rows {
             layout.push(model, *row, &[uncertainty])?;
         }
@@ -291,7 +295,7 @@ impl Artefact for Facets {
             features: features.collect(),
             ..ObservationsInfo::new(layout, unknowns.collect(), Contact::LinearAxes)
         };
-        Ok(Arc::new(Touches { info, facets, touches, radius }))
+        Ok(Some(Arc::new(Touches { info, facets, touches, radius })))
     }
 
     /// Whether a facet was touched at its point or beside it is judged by the touches that are there: nominal contact, where

@@ -461,6 +461,10 @@ impl Estimate for GaussNewton {
         self.of_parts(problem, parts)
     }
 
+    fn identify_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Identifiability> {
+        self.identified_parts(problem, parts)
+    }
+
     fn values(&self, problem: &Problem) -> Result<Vec<f64>> {
         if problem.unknowns.is_empty() {
             return Ok(Vec::new());

@@ -1,11 +1,14 @@
 //! The estimate from rows in parts, none of which has all.
 
-use abbe_core::{Calibration, Error, Parts, Problem, Result};
+use abbe_core::{Calibration, Error, Identifiability, Parts, Problem, Result};
 use abbe_estimation::{EstimatorSolution, RowsInParts, confounded, identifiability};
 use abbe_numerics::Solution;
 
 use crate::GaussNewton;
 use crate::settings::{OnConfounded, Variance};
+
+/// What to do about a setting that needs all rows.
+const AT_ONCE: &str = "leave it out, or estimate all rows at once: `abbe run`, without `batch_rows` where they are read";
 
 impl GaussNewton {
     /// The estimate from parts: the iteration of all rows at once, on the triangles of parts.
@@ -30,11 +33,17 @@ impl GaussNewton {
         self.evaluation(true).calibration_of_parts(&rows, solved)
     }
 
+    /// What the rows of all parts determine.
+    pub(crate) fn identified_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Identifiability> {
+        self.check_settings_for_parts()?;
+        self.evaluation(true).identify_parts(&RowsInParts::new(problem, parts))
+    }
+
     /// Refuses settings that need all residuals at once.
     pub(crate) fn check_settings_for_parts(&self) -> Result<()> {
         let refused = |setting: &str, why: &str| {
             let message = format!("`{setting}` needs all rows at once ({why}), and these rows are in parts");
-            Err(Error::usage(message).help("leave it out, or estimate all rows at once: `abbe run`").setting(setting))
+            Err(Error::usage(message).help(AT_ONCE).setting(setting))
         };
         if self.settings.robust.is_some() {
             return refused("robust", "weights follow from the scatter of all residuals");

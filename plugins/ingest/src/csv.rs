@@ -1,11 +1,12 @@
 //! Ingest plugin `csv`: tables of text.
 
 use std::collections::BTreeMap;
+use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::Arc;
 
-use abbe_assembly::{Assembly, Average, Filters, Join, Motion, Paths, Ranges, tell_left_out, without_rows};
-use abbe_core::{ColumnHeader, Context, Dataset, Ingest, InputFile, Label, Result, SettingsError, Table};
+use abbe_assembly::{Assembly, Average, Filters, InBatches, Join, Motion, Paths, Ranges, tell_left_out, without_rows};
+use abbe_core::{Batches, ColumnHeader, Context, Dataset, Ingest, InputFile, Label, Result, SettingsError, Table};
 use abbe_table::{Decimal, Declared, Encoding, Layout, Separator, Thousands};
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -67,6 +68,9 @@ pub(crate) struct Settings {
     keep: Filters,
     /// Take means of repeated rows, after `ignore` and `keep`.
     average: Option<Average>,
+    /// Read the files in batches of so many rows and never hold all of them: 20000 for more measurements than there is memory for.
+    /// Estimates that can be made so are (`gauss-newton`); what needs all rows at once is refused. Without it all rows are held.
+    batch_rows: Option<NonZeroUsize>,
 }
 
 fn yes() -> bool {
@@ -79,6 +83,8 @@ struct Csv {
     layout: Layout,
     /// A table of a program, in the place of the files.
     table: Option<Arc<Table>>,
+    /// Rows of a batch, if not all are held.
+    batch_rows: Option<NonZeroUsize>,
 }
 
 abbe_core::register!(
@@ -102,7 +108,23 @@ pub(crate) fn example() -> Value {
     })
 }
 
+/// Refuses batches where a row needs rows of other batches.
+fn check_batches(settings: &Settings) -> Result<(), SettingsError> {
+    let Settings { batch_rows: Some(_), motion, average, .. } = settings else { return Ok(()) };
+    let needs = [("motion", motion.is_some()), ("average", average.is_some())];
+    match needs.iter().find(|(_, is_there)| *is_there) {
+        Some((setting, _)) => Err(SettingsError::new(
+            "batch_rows",
+            format!("`{setting}` needs rows of other batches: this stage cannot be read in batches"),
+        )
+        .help(format!("leave out `batch_rows`, or `{setting}`"))),
+        None => Ok(()),
+    }
+}
+
 pub(crate) fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ingest>, SettingsError> {
+    check_batches(&settings)?;
+    let batch_rows = settings.batch_rows;
     let layout = Declared {
         separator: settings.separator,
         decimal: settings.decimal,
@@ -116,7 +138,7 @@ pub(crate) fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ing
     };
     let Settings { path, constants, join, ignore, keep, average, motion, within, .. } = settings;
     let assembly = Assembly::new(path, constants, join, [ignore, keep], context)?.in_passing(motion, within)?;
-    Ok(Box::new(Csv { assembly: assembly.averaged(average), layout: layout.layout()?, table: None }))
+    Ok(Box::new(Csv { assembly: assembly.averaged(average), layout: layout.layout()?, table: None, batch_rows }))
 }
 
 impl Ingest for Csv {
@@ -134,6 +156,16 @@ impl Ingest for Csv {
 
     fn read(&self) -> Result<Dataset> {
         self.assembly.read(&|path| self.rows_of(path))
+    }
+
+    /// The table of a program is in memory already.
+    fn batch_rows(&self) -> Option<usize> {
+        self.batch_rows.filter(|_| self.table.is_none()).map(NonZeroUsize::get)
+    }
+
+    fn batches(&self) -> Result<Box<dyn Batches + '_>> {
+        let rows = self.batch_rows.map_or(usize::MAX, NonZeroUsize::get);
+        Ok(Box::new(InBatches::new(&self.assembly, &self.layout, rows)?))
     }
 
     fn with_table(self: Box<Self>, table: Arc<Table>) -> Result<Box<dyn Ingest>> {

@@ -15,7 +15,7 @@ const MOST: usize = 400;
 /// How an artefact that says [`Artefact::rows_are_independent`] breaks its word; empty if it keeps it, or does not say so.
 ///
 /// Two halves of a data set, every other row, have together the rows, unknowns and known inputs of all of it: with the same names,
-/// start values, uncertainties, residuals and contact tips.
+/// start values, uncertainties, residuals and contact tips. Of no rows there is nothing to observe.
 pub fn check_independence(
     artefact: &dyn Artefact,
     data: &Arc<Dataset>,
@@ -34,6 +34,9 @@ pub fn check_independence(
         let part = Seen::new(&Arc::new(data.of_rows(&chosen)), Some(&chosen), artefact, model)?;
         rows += part.rows.len();
         broken.extend(part.differs_from(&whole));
+    }
+    if !matches!(artefact.observe_some(&Arc::new(data.of_rows(&[])), model), Ok(None)) {
+        broken.push("of no rows it observes something, or it fails".to_owned());
     }
     if rows != whole.rows.len() {
         broken.push(format!("halves of the data have {rows} rows, all of them {}", whole.rows.len()));

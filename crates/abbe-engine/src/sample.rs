@@ -1,0 +1,110 @@
+//! Rows that are chosen at random of data sets that are read in batches: what tables of residuals and charts show of them.
+
+use std::sync::Arc;
+
+use abbe_core::{DataRow, Dataset, Error, Fit, Monitor, Problem, Result, RowOrigin, Values, free_threads};
+
+use crate::batches::InBatches;
+use crate::in_order::in_order;
+use crate::parts::Rows;
+use crate::record::Remark;
+
+/// How many rows of a data set are chosen, about: enough for a chart.
+const CHOSEN: usize = 5_000;
+
+/// The seed of the choice.
+const SEED: u64 = 20;
+
+impl InBatches<'_> {
+    /// The problem of an estimate on rows that are chosen at random, and what to say of them if these are not all; none for an
+    /// estimate of rows that are held.
+    pub fn sampled(&self, fit: &Fit, monitor: &Monitor) -> Result<Option<(Problem, Vec<Remark>)>> {
+        let Some(whole) = self.problem(&fit.name) else { return Ok(None) };
+        let stage = self.prepared.recipe_stage(&fit.name)?;
+        let (mut data, mut remarks) = (self.data.clone(), Vec::new());
+        for ingest in self.prepared.batched_of(stage)? {
+            let all = self.rows_of(&ingest);
+            let chosen = self.chosen(&ingest, all, monitor)?;
+            if chosen.rows() < all {
+                let text = format!(
+                    "the table of its residuals, the charts and exports of residuals show {} of {all} rows of `{ingest}`, chosen at \
+                     random (seed {SEED})",
+                    chosen.rows()
+                );
+                remarks.push(Remark { estimate: fit.name.clone(), text });
+            }
+            data.insert(ingest, Arc::new(chosen));
+        }
+        let observed = self.prepared.observed(stage, |ingest| match self.prepared.is_in_batches(ingest) {
+            true => Some(Rows::Some),
+            false => Some(Rows::All),
+        })?;
+        let problem = self.prepared.part_problem(stage, whole.model.clone(), &observed, &data, None);
+        Ok(Some((self.prepared.located(stage, problem)?, remarks)))
+    }
+
+    /// The chosen rows of a data set of `all` rows, in their order.
+    fn chosen(&self, ingest: &str, all: usize, monitor: &Monitor) -> Result<Dataset> {
+        let batches: Vec<usize> = (0..self.count(ingest)).collect();
+        let of_batch = |batch: &usize| {
+            monitor.check()?;
+            let (data, _) = self.with_batch(ingest, *batch)?;
+            let data = &data[ingest];
+            let is_chosen = |row: &DataRow| is_chosen(&data.origins[*row], all);
+            Ok(data.of_rows(&data.row_indices().filter(is_chosen).collect::<Vec<_>>()))
+        };
+        let found = in_order(&batches, free_threads(), of_batch, append, |_| ())?;
+        found.ok_or_else(|| Error::data("there are no rows").stage(ingest))
+    }
+}
+
+/// Whether a row of a data set of `all` rows is chosen: its place in its file decides, whatever batch it is in.
+fn is_chosen(origin: &RowOrigin, all: usize) -> bool {
+    all <= CHOSEN || mixed(SEED ^ mixed(origin.row as u64)) % (all as u64) < CHOSEN as u64
+}
+
+/// A number as good as a random one (the finaliser of SplitMix64: Steele, Lea and Flood 2014, OOPSLA).
+fn mixed(number: u64) -> u64 {
+    let mut mixed = number.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    mixed ^ (mixed >> 31)
+}
+
+/// Adds rows of the same stage.
+fn append(all: &mut Dataset, more: Dataset) -> Result<()> {
+    for column in &mut all.columns {
+        let same = more.columns.iter().find(|other| other.header == column.header);
+        match (&mut column.values, same.map(|same| &same.values)) {
+            (Values::Numbers(all), Some(Values::Numbers(more))) => all.extend(more),
+            (Values::Labels(all), Some(Values::Labels(more))) => all.extend(more.iter().cloned()),
+            _ => return Err(Error::data(format!("there is no column `{}` in all batches", column.header.header))),
+        }
+    }
+    let place = |file: &std::path::PathBuf| all.files.iter().position(|known| known == file);
+    let mut places: Vec<Option<usize>> = more.files.iter().map(place).collect();
+    for (file, place) in more.files.iter().zip(&mut places) {
+        if place.is_none() {
+            *place = Some(all.files.len());
+            all.files.push(file.clone());
+        }
+    }
+    let moved = |origin: RowOrigin| RowOrigin { file: places[origin.file].unwrap_or(0), ..origin };
+    all.origins.extend(more.origins.into_iter().map(moved));
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn about_as_many_rows_are_chosen_as_wanted() {
+        for all in [1, CHOSEN, 3 * CHOSEN, 1_000_000] {
+            let origin = |row| RowOrigin { file: 0, line: row + 1, row };
+            let chosen = (1..=all).filter(|row| is_chosen(&origin(*row), all)).count();
+            let allowed = if all <= CHOSEN { 0 } else { CHOSEN / 20 };
+            assert!(chosen.abs_diff(all.min(CHOSEN)) <= allowed, "{chosen} of {all}");
+        }
+    }
+}
