@@ -234,6 +234,51 @@ fn qif_results_that_a_recipe_writes_are_those_that_it_reads() {
     assert!(rms(&recipe.run()) > 1.2);
 }
 
+/// Nominal places of two holes that are exchanged say that each was found where the other should be; a part that lies elsewhere as a
+/// whole, and a hole that is off, are results.
+#[test]
+fn nominal_places_that_are_exchanged_are_refused() {
+    let exported = |change: &dyn Fn(&mut [String])| {
+        let folder = temporary();
+        let mut recipe = Variant::of(&recipes()["qif-results"]).only(&["fit", "holes"]);
+        let lines = read(&recipe.path("holes", "path"));
+        let changed = lines.lines().map(|line| {
+            let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+            if line.starts_with(['1', '2']) {
+                change(&mut cells);
+            }
+            cells.join(",") + "\n"
+        });
+        let file = folder.path().join("workpiece.csv");
+        write(&file, &changed.collect::<String>());
+        recipe.stage("holes")["path"] = json!(file);
+        let written = recipe.write(folder.path());
+        let printed = abbe(folder.path(), &["run".as_ref(), written.as_os_str(), "--out".as_ref(), "out".as_ref()]);
+        let is_there = folder.path().join("out/recipe/holes/results.qif").is_file();
+        (printed.status, printed.stderr, is_there)
+    };
+    let exchanged = |cells: &mut [String]| match cells[1].as_str() {
+        "b1" => (cells[5], cells[6]) = ("170".to_owned(), "160".to_owned()),
+        "b5" => (cells[5], cells[6]) = ("70".to_owned(), "60".to_owned()),
+        _ => {}
+    };
+    let (status, told, is_there) = exported(&exchanged);
+    assert!(status != 0 && !is_there, "{told}");
+    assert!(told.contains("point `b1` was found 141.") && told.contains("where `b5` should be"), "{told}");
+    assert!(told.contains("workpiece.csv:3"), "{told}");
+    let by = |cell: &str, by: f64| format!("{}", cell.parse::<f64>().expect("a number") + by);
+    let elsewhere = |cells: &mut [String]| cells[5] = by(&cells[5], 100.0);
+    let off = |cells: &mut [String]| {
+        if cells[1] == "b4" {
+            cells[6] = by(&cells[6], 1.5);
+        }
+    };
+    for good in [&elsewhere as &dyn Fn(&mut [String]), &off, &|_: &mut [String]| ()] {
+        let (status, told, is_there) = exported(good);
+        assert!(status == 0 && is_there, "{told}");
+    }
+}
+
 /// What LinuxCNC has logged in simulation, with hidden errors: the truth is inside four standard uncertainties, and the log in another
 /// order of its lines, or without one of them, is no other measurement.
 #[test]

@@ -114,7 +114,7 @@ pub fn valid(what: &str, schema: &Value, instance: &Value) {
 }
 
 /// The JSON pointers to the numbers in a value.
-fn numbers(value: &Value, at: &str, found: &mut Vec<String>) {
+pub fn numbers(value: &Value, at: &str, found: &mut Vec<String>) {
     match value {
         Value::Number(_) => found.push(at.to_owned()),
         Value::Array(items) => {

@@ -622,6 +622,28 @@ fn what_is_wrong_with_a_run_is_told_with_its_place() {
     }
 }
 
+/// An approach that leads away from its facet is one of the nominal file, for runs as for programs.
+#[test]
+fn an_approach_that_leads_away_is_told_with_its_line() {
+    let (machine, data) = ("three-axis", "realistic");
+    let nominal = read(&root().join(format!("pipelines/{}/points.csv", folder(machine, data))));
+    let line = 1 + nominal.lines().position(|line| line.starts_with("P02,")).expect("the point");
+    let out = temporary();
+    let turned = nominal.lines().map(|line| match line.starts_with("P02,") {
+        true => line.replace(",-Z,", ",+Z,") + "\n",
+        false => format!("{line}\n"),
+    });
+    write(&out.path().join("points.csv"), &turned.collect::<String>());
+    let text = recipe(machine, data).only(&["calibrated", "before-the-cut"]).0.to_string();
+    let kept = root().join("pipelines").join(folder(machine, data)).join("points.csv");
+    let text = text.replace(&kept.display().to_string(), &out.path().join("points.csv").display().to_string());
+    let recipe = Variant(serde_json::from_str(&text).expect("JSON"));
+    let printed = abbe(out.path(), &["run".into(), recipe.write(out.path()), "--out".into(), out.path().join("out")]);
+    assert_eq!(printed.status, 1, "{}{}", printed.stdout, printed.stderr);
+    assert!(printed.stderr.contains("leads away from the facet of point P02"), "{}", printed.stderr);
+    assert!(printed.stderr.contains(&format!("points.csv:{line}")), "{}", printed.stderr);
+}
+
 /// The virtual machine against the data set, which was simulated by another program: the approach axis alone moves until
 /// contact, and `measured_mm` says where.
 #[test]

@@ -125,13 +125,52 @@ fn numbers_that_nobody_means_are_refused() {
         ("tool-check", "tools", "/consistency_factor", json!(1e-300), "a number from 1 to 100"),
         ("thermal-spindle", "spindle", "/draws", json!(1_000_000_000), "a whole number from 50 to 100000"),
         ("thermal-spindle", "spindle", "/draws", json!(1), "a whole number from 50 to 100000"),
-        ("thermal-spindle", "unseen", "/prediction/limits/max_um", json!(5e9), "a number from -1e6 to 1e6"),
-        ("spindle-motion", "spindle", "/limits/synchronous_rotating_um", json!(1e9), "a number from -1e6 to 1e6"),
-        ("probe-lobing", "probing", "/limits/corrected_form_um", json!({ "limit": 1e9 }), "a number from -1e6 to 1e6"),
+        ("thermal-spindle", "unseen", "/prediction/limits/max_um", json!(5e9), "a number from 0 to 1e6"),
+        ("spindle-motion", "spindle", "/limits/synchronous_rotating_um", json!(1e9), "a number from 0 to 1e6"),
+        ("probe-lobing", "probing", "/limits/corrected_form_um", json!({ "limit": 1e9 }), "a number from 0 to 1e6"),
+        ("rapid-verify-five-axis", "siemens", "/spindle_deg", json!(1e5), "a number from -360 to 360"),
+        ("rapid-verify-five-axis", "siemens", "/tolerance_um", json!(1e6), "a number from 0 to 10000"),
+        ("rapid-verify-five-axis", "fanuc", "/tolerance_um", json!(1e6), "a number from 0 to 10000"),
     ] {
         let (status, text) = said(recipe, stage, pointer, value);
         assert!(status == 2 && text.contains(expected), "{stage}{pointer}: {status} {text}");
     }
+}
+
+/// A size is never below zero: such a limit would fail whatever was measured.
+#[test]
+fn limits_below_zero_are_refused_for_every_validator() {
+    let registry = crate::support::registry();
+    let context = abbe_core::Context { base: std::path::PathBuf::new() };
+    let mut count = 0;
+    for plugin in registry.iter() {
+        let abbe_core::Build::Validate(constructor) = &plugin.build else { continue };
+        let mut places = Vec::new();
+        crate::plugins::numbers(plugin.example.get(), "", &mut places);
+        // A limit is what takes a rule of decision.
+        let with = |place: &str, value: Value| {
+            let mut settings = plugin.example.get().clone();
+            *settings.pointer_mut(place).expect("it is there") = value;
+            (constructor.build(&settings, &context).map(drop), jsonschema::is_valid(plugin.schema.get(), &settings))
+        };
+        for place in places {
+            if with(&place, json!({ "limit": 5, "decision": "simple" })).0.is_err() {
+                continue;
+            }
+            count += 1;
+            for value in [json!(-5), json!({ "limit": -5, "decision": "simple" })] {
+                let (built, is_taken) = with(&place, value);
+                let what = format!("{} {place}", plugin.name);
+                let refused = built.expect_err(&what);
+                assert!(refused.message.contains("from 0 to"), "{what}: {refused}");
+                assert!(!is_taken, "{what}: its schema takes it");
+            }
+        }
+    }
+    assert!(count > 40, "{count} limits");
+    let (status, text) = said("standards-circular", "circles", "/limits", json!({ "G_um": -5 }));
+    assert!(status == 2 && text.contains("-5: a number from 0 to 1e6 was expected"), "{status} {text}");
+    assert!(text.contains("recipe.yaml:"), "{text}");
 }
 
 #[test]

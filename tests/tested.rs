@@ -120,6 +120,22 @@ fn what_a_test_writes_collides_with_nothing() {
     assert!(printed.stdout.contains("1 recipe, 1 not as expected"), "{}", printed.stdout);
 }
 
+/// Nothing is accepted where the report of it cannot be written.
+#[test]
+fn nothing_is_accepted_if_a_report_cannot_be_written() {
+    let small = Small::new();
+    for option in ["--junit", "--markdown"] {
+        let printed = small.abbe(&["test", "recipe.yaml", "--accept", option, "nowhere/test.txt"]);
+        assert_eq!(printed.status, 1, "{}{}", printed.stdout, printed.stderr);
+        assert!(printed.stderr.contains("its folder does not exist"), "{}", printed.stderr);
+        assert!(!small.path("recipe.expected").exists(), "{option}");
+    }
+    let files = || std::fs::read_dir(small.path(".")).expect("a folder").count();
+    let before = files();
+    assert_eq!(small.abbe(&["test", "recipe.yaml", "--accept", "--junit", "test.xml"]).status, 0);
+    assert_eq!(files(), before + 2);
+}
+
 /// Whatever may be a recipe is tested: one that cannot be read is an error, and not left out.
 #[test]
 fn a_recipe_of_a_folder_that_cannot_be_read_is_an_error() {

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use crate::misread::changed;
-use crate::support::{Variant, abbe, recipes, temporary};
+use crate::support::{Variant, abbe, read, recipes, registry, temporary, write};
 
 /// Remarks and failures of a run, those of verdicts included, or its error, in one text.
 fn said(recipe: &Variant) -> String {
@@ -83,4 +83,131 @@ fn balls_that_are_not_touched_are_not_told_as_touches_that_are_missing_alone() {
     recipe.stage("early")["path"] = json!(negated);
     let words = said(&recipe);
     assert!(words.contains("the recorded positions do not lie around this ball"), "{words}");
+}
+
+/// What is said of an estimate before it is made.
+fn remarks(recipe: &Variant) -> Vec<String> {
+    let folder = temporary();
+    let planned = abbe_engine::prepare(&recipe.write(folder.path()), &registry()).and_then(|prepared| prepared.check());
+    let planned = planned.unwrap_or_else(|error| panic!("{error}"));
+    planned.into_iter().flat_map(|planned| planned.identifiability.remarks).collect()
+}
+
+/// Positions of a plan that nobody has replaced by measured ones say that a machine has no errors. A plan as a whole, and data without
+/// noise, get no word.
+#[test]
+fn rows_that_were_planned_and_not_measured_are_told() {
+    let folder = temporary();
+    let recipe = Variant::of(&recipes()["first-steps"]);
+    let simulated = |truth: serde_json::Value, name: &str| {
+        let (own, file, out) = (folder.path(), recipe.write(folder.path()), folder.path().join(name));
+        let path = own.join("truth.json");
+        write(&path, &truth.to_string());
+        let arguments = ["simulate".as_ref(), file.as_os_str(), "--truth".as_ref(), path.as_os_str()];
+        let more = ["--seed".as_ref(), "1".as_ref(), "--out".as_ref(), out.as_os_str()];
+        let printed = abbe(own, &[&arguments[..], &more[..]].concat());
+        assert_eq!(printed.status, 0, "{}", printed.stderr);
+        Variant::of(&out.join("recipe.yaml"))
+    };
+    let planned = simulated(json!({ "parameters": {} }), "planned");
+    let lines = |recipe: &Variant| -> Vec<String> {
+        let text = read(&recipe.path("touches", "path"));
+        text.lines().filter(|line| !line.starts_with('#')).map(str::to_owned).collect()
+    };
+    let (measured, of_plan) = (lines(&recipe), lines(&planned));
+    assert_eq!(measured.len(), of_plan.len());
+    let word = "or are they positions of a plan?";
+    let with = |part: f64| {
+        // Some of the rows, evenly spread.
+        let taken = |row: usize| (row as f64 * part).floor() < ((row + 1) as f64 * part).floor();
+        let rows = (0..measured.len()).map(|row| if taken(row) { of_plan[row].clone() } else { measured[row].clone() });
+        let file = folder.path().join("touches.csv");
+        write(&file, &(rows.collect::<Vec<_>>().join("\n") + "\n"));
+        recipe.clone().set("touches", "path", json!(file))
+    };
+    for part in [0.0, 0.1, 0.2, 0.7, 1.0] {
+        let told = remarks(&with(part));
+        let is_told = told.iter().any(|remark| remark.contains(word));
+        assert_eq!(is_told, part > 0.0 && part < 1.0, "{part}: {told:?}");
+    }
+    assert!(said(&with(0.2)).contains(word));
+    // A machine on which one error alone acts on some rows.
+    let partly = simulated(json!({ "parameters": { "facet[7].d": 0.1, "facet[9].d": -0.2 } }), "partly");
+    let told = remarks(&partly);
+    assert!(!told.iter().any(|remark| remark.contains(word)), "{told:?}");
+}
+
+/// A channel of an R-test, and one of the files of a ball bar, whose signs are turned.
+#[test]
+fn signs_of_some_readings_that_are_turned_are_told() {
+    let word = "is the sign of these readings right?";
+    let is_told = |recipe: &Variant, which: &str| {
+        let told = remarks(recipe);
+        let about: Vec<&String> = told.iter().filter(|remark| remark.contains(word)).collect();
+        match which {
+            "" => assert!(about.is_empty(), "{about:?}"),
+            _ => assert!(about.iter().any(|remark| remark.contains(which)), "{which}: {told:?}"),
+        }
+    };
+    for name in ["standards-rtest", "standards-rtest-exact"] {
+        let recipe = Variant::of(&recipes()[name]);
+        is_told(&recipe, "");
+        for (stage, set) in [("c-turns", "at-c"), ("a-turns", "at-a")] {
+            for column in ["meas_x", "meas_y", "meas_z"] {
+                // The axis that turns moves nothing along itself: zero has no sign.
+                if (stage, column) == ("c-turns", "meas_z") || (stage, column) == ("a-turns", "meas_x") {
+                    continue;
+                }
+                let folder = temporary();
+                let mut recipe = recipe.clone();
+                let path = recipe.path(stage, "path");
+                recipe.stage(stage)["path"] =
+                    json!(changed(&path, folder.path(), &format!("{column}_um"), times(-1.0)));
+                // Where C turns, x and y tell no more than that one of them is.
+                is_told(&recipe, &format!("{set}: with the signs of "));
+                is_told(&recipe, &format!("of `{column}`"));
+            }
+        }
+    }
+    for name in ["ballbar-c600u", "ballbar-c600u-exact"] {
+        let recipe = Variant::of(&recipes()[name]).only(&["fit"]);
+        is_told(&recipe, "");
+        for test in 0..4 {
+            let (folder, mut recipe) = (temporary(), recipe.clone());
+            let path = PathBuf::from(recipe.stage("samples")["tests"][test]["file"].as_str().expect("a path"));
+            let file = changed(&path, folder.path(), "reading_um", times(-1.0));
+            recipe.stage("samples")["tests"][test]["file"] = json!(file);
+            is_told(&recipe, &format!("readings in `{}` turned", file.display()));
+        }
+    }
+}
+
+/// Two axes of a CMM whose columns are exchanged at both ends of all lengths.
+#[test]
+fn columns_of_two_axes_that_are_exchanged_are_told() {
+    let word = "are these two columns exchanged?";
+    for name in ["cmm-brute-force", "mill-hole-plate", "mill-hole-plate-exact"] {
+        let told = remarks(&Variant::of(&recipes()[name]));
+        assert!(!told.iter().any(|remark| remark.contains(word)), "{name}: {told:?}");
+    }
+    let recipe = Variant::of(&recipes()["cmm-brute-force"]).only(&["fit"]);
+    for [one, other] in [["X", "Y"], ["Y", "Z"], ["X", "Z"]] {
+        let folder = temporary();
+        let exchanged = read(&recipe.path("beams", "path"));
+        let name = |axis: &str, end: usize| format!("{axis}{end}_mm");
+        let swapped = [1, 2].into_iter().fold(exchanged, |text, end| {
+            let (first, second) = (name(one, end), name(other, end));
+            text.replacen(&first, "@", 1).replacen(&second, &first, 1).replacen('@', &second, 1)
+        });
+        let file = folder.path().join("lengths.csv");
+        write(&file, &swapped);
+        let mut recipe = recipe.clone().set("beams", "path", json!(file));
+        // The travels of the axes differ: without them nothing else tells.
+        recipe.stage("cmm")["axes"] = json!({ "X": { "range_mm": [-2000, 2000] }, "Y": { "range_mm": [-2000, 2000] }, "Z": { "range_mm": [-2000, 2000] } });
+        let told = remarks(&recipe);
+        let expected = [[one, other], [other, one]]
+            .map(|[one, other]| format!("with the positions of {one} and {other} exchanged"));
+        let is_told = told.iter().any(|remark| expected.iter().any(|expected| remark.contains(expected)));
+        assert!(is_told, "{one} {other}: {told:?}");
+    }
 }

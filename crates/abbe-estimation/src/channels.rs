@@ -11,7 +11,7 @@ use crate::copies::least_uncertainties;
 const SEVERAL: usize = 10;
 
 /// The channels of an instrument: the names of their columns, and the quantity that they read.
-fn channels_of(set: &ObservationSet) -> Vec<String> {
+pub(crate) fn channels_of(set: &ObservationSet) -> Vec<String> {
     match &set.info().contact {
         Contact::Reading(column) => vec![column.clone()],
         Contact::Readings(columns) => columns.clone(),

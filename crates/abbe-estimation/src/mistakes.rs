@@ -51,7 +51,7 @@ const TOLD: usize = 2;
 /// `plausible` tells which errors are none. Only mistakes in what was recorded are tried: signs, swapped columns, units.
 pub fn likely_mistakes(problem: &Problem, plausible: &Plausible) -> Result<Vec<String>> {
     // Some rows tell a sign or a unit as well as all.
-    let quiet = spread(problem).watched_by(Monitor::default());
+    let quiet = spread(problem, ROWS).watched_by(Monitor::default());
     let (as_it_is, as_recorded) = (Trial::new(&quiet, plausible), off(&quiet));
     let mut found = Vec::new();
     for Mistake { without, correct, scaled } in mistakes(quiet.model.info()) {
@@ -88,10 +88,10 @@ pub fn likely_mistakes(problem: &Problem, plausible: &Plausible) -> Result<Vec<S
     Ok(near.take(TOLD).map(sentence).collect())
 }
 
-/// The problem with at most [`ROWS`] rows of every set, or all that it takes to determine its unknowns.
-fn spread(problem: &Problem) -> Problem {
+/// The problem with at most so many rows of every set, or all that it takes to determine its unknowns.
+pub(crate) fn spread(problem: &Problem, rows: usize) -> Problem {
     let mut few = problem.clone();
-    let most = ROWS.max(4 * problem.unknowns.len());
+    let most = rows.max(4 * problem.unknowns.len());
     for set in &mut few.sets {
         set.rows = spread_out(set.rows.len(), most).into_iter().map(|place| set.rows[place]).collect();
     }
@@ -232,7 +232,7 @@ fn units(kind: AxisKind) -> &'static [(f64, &'static str)] {
 }
 
 /// The problem with other recorded commands.
-fn with_commands(problem: &Problem, change: impl Fn(&mut [f64])) -> Problem {
+pub(crate) fn with_commands(problem: &Problem, change: impl Fn(&mut [f64])) -> Problem {
     let mut problem = problem.clone();
     let changed = |set: &ObservationSet| {
         let mut poses = set.poses().clone();

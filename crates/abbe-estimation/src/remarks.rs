@@ -12,8 +12,11 @@ use crate::aliasing::aliased;
 use crate::channels::doubtful_channels;
 use crate::copies::repeated;
 use crate::directions::turned;
+use crate::exchanged::exchanged;
 use crate::instruments::instruments;
+use crate::planned::planned;
 use crate::row_order::contradicted_by_order;
+use crate::turned_readings::turned_readings;
 
 /// Most forgotten unknowns that a remark names.
 const NAMED: usize = 3;
@@ -30,8 +33,11 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks.extend(shared(problem));
     remarks.extend(styli(problem));
     remarks.extend(missed(problem));
+    remarks.extend(planned(problem));
     remarks.extend(tilted_probe(problem));
     remarks.extend(turned(problem));
+    remarks.extend(turned_readings(problem));
+    remarks.extend(exchanged(problem));
     remarks.extend(contradicted_by_order(problem));
     remarks
 }

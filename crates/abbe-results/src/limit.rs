@@ -31,12 +31,12 @@ impl From<f64> for Limit {
     }
 }
 
-/// Largest size of a limit, in the unit of its key: in µm a metre. A larger one judges nothing.
+/// Largest limit, in the unit of its key: in µm a metre. A larger one judges nothing, and none is below zero: figures with limits are sizes.
 const LARGEST: f64 = 1e6;
 
 fn bounded<E: Error>(value: f64) -> Result<f64, E> {
-    match value.is_finite() && value.abs() > LARGEST {
-        true => Err(E::custom(format_args!("{value:e}: a limit up to 1e6 was expected"))),
+    match value.is_finite() && !(0.0..=LARGEST).contains(&value) {
+        true => Err(E::custom(format_args!("{value:e}: a limit from 0 to 1e6 was expected"))),
         false => Ok(value),
     }
 }
@@ -46,7 +46,7 @@ fn bounded<E: Error>(value: f64) -> Result<f64, E> {
 #[serde(deny_unknown_fields)]
 struct Stated {
     /// The largest admissible value.
-    #[schemars(range(min = -1e6, max = 1e6))]
+    #[schemars(range(min = 0.0, max = 1e6))]
     limit: f64,
     /// The rule that decides whether a value keeps the limit: its name, or a map with its settings. Default: simple
     /// acceptance.
@@ -127,7 +127,7 @@ impl JsonSchema for Limit {
     }
 
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
-        json_schema!({ "anyOf": [{ "type": "number", "minimum": -LARGEST, "maximum": LARGEST }, generator.subschema_for::<Stated>()] })
+        json_schema!({ "anyOf": [{ "type": "number", "minimum": 0.0, "maximum": LARGEST }, generator.subschema_for::<Stated>()] })
     }
 }
 
@@ -160,10 +160,10 @@ mod tests {
             let read: Settings = from_settings(&json!({ "limits": { "max_um": form } })).unwrap();
             assert_eq!(read.limits["max_um"], Limit { value: 30.0, rule: Rule::Simple {} }, "{form}");
         }
-        let written = json!(Limit::from(-3.0));
-        assert_eq!(written, json!({ "limit": -3.0, "decision": { "rule": "simple" } }));
-        for form in [json!(-3), written] {
-            assert_eq!(from_settings::<Limit>(&form).unwrap(), Limit::from(-3.0));
+        let written = json!(Limit::from(3.0));
+        assert_eq!(written, json!({ "limit": 3.0, "decision": { "rule": "simple" } }));
+        for form in [json!(3), written] {
+            assert_eq!(from_settings::<Limit>(&form).unwrap(), Limit::from(3.0));
         }
     }
 
@@ -182,6 +182,8 @@ mod tests {
                 json!([30]),
                 "limits.max_um: a list was found; a number or a map `{ limit: 30, decision: simple }` was expected",
             ),
+            (json!(-3), "limits.max_um: -3e0: a limit from 0 to 1e6 was expected"),
+            (json!({ "limit": -0.5 }), "limits.max_um: -5e-1: a limit from 0 to 1e6 was expected"),
             (json!({ "decision": "simple" }), "limits.max_um: the setting `limit` is missing"),
             (json!({ "limit": "30" }), "limits.max_um.limit: the text `30` was found; a number was expected"),
             (
@@ -227,7 +229,7 @@ mod tests {
         let limits = &schema_of::<Settings>()["properties"]["limits"];
         assert_eq!(limits["default"], json!({}));
         let limit = &limits["additionalProperties"];
-        assert_eq!(limit["anyOf"][0], json!({ "type": "number", "minimum": -1e6, "maximum": 1e6 }));
+        assert_eq!(limit["anyOf"][0], json!({ "type": "number", "minimum": 0.0, "maximum": 1e6 }));
         let map = &limit["anyOf"][1];
         assert_eq!((&map["required"], &map["additionalProperties"]), (&json!(["limit"]), &json!(false)));
         let [name, set] = [0, 1].map(|form| &map["properties"]["decision"]["anyOf"][form]);

@@ -85,6 +85,13 @@ pub fn replace(file: &Path, content: &str) -> Result<()> {
     written.map(drop).map_err(|error| cannot_be_written(file, &error))
 }
 
+/// Fails if no file can be written there: the folder is asked for room for a name, and nothing stays.
+pub fn can_be_written(file: &Path) -> Result<()> {
+    let place = abbe_files::place(file);
+    let folder = place.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    temporary_file(folder).map(drop).map_err(|error| cannot_be_written(file, &error))
+}
+
 /// What is said of a file that cannot be written.
 pub fn cannot_be_written(file: &Path, error: &io::Error) -> Error {
     let (why, help) = match error.kind() {

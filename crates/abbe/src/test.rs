@@ -11,7 +11,7 @@ use clap::Args;
 
 use crate::expected::{Expected, NEW};
 use crate::libraries::Libraries;
-use crate::outputs::{are_different, is_file_name, replace};
+use crate::outputs::{are_different, can_be_written, is_file_name, replace};
 use crate::report;
 
 /// What is asked of the command.
@@ -92,6 +92,8 @@ impl Test {
         let recipes = self.listed()?;
         self.are_own()?;
         self.check_outputs(&recipes)?;
+        // Before anything is accepted.
+        self.reports().into_iter().try_for_each(|(_, file)| can_be_written(file))?;
         let mut all = Vec::new();
         for recipe in recipes {
             let clock = Instant::now();

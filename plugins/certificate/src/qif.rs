@@ -89,6 +89,22 @@ impl Export for QifResults {
     }
 }
 
+/// How far a point is from its nominal place that is another one, over the spread of all, and how near to that of the other.
+const FAR: f64 = 10.0;
+const NEAR: f64 = 3.0;
+
+/// Smallest spread that counts, mm: points of parts are hardly ever nearer to each other than ten times of it.
+const LEAST_SPREAD: f64 = 0.02;
+
+/// Most points that are looked for among the others.
+const TRIED: usize = 100;
+
+/// The number in the middle; zero if there is none.
+fn median(mut numbers: Vec<f64>) -> f64 {
+    numbers.sort_by(f64::total_cmp);
+    numbers.get(numbers.len() / 2).copied().unwrap_or_default()
+}
+
 /// Points and their measurements.
 struct Document<'a> {
     /// Label and nominal position of each point, mm.
@@ -108,6 +124,7 @@ impl<'a> Document<'a> {
         let mut document = Self { points: Vec::new(), runs: Vec::new() };
         let mut places: BTreeMap<&str, usize> = BTreeMap::new();
         let mut run_places: BTreeMap<&str, usize> = BTreeMap::new();
+        let mut rows = Vec::new();
         for ((row, label), tip) in DataRow::enumerate(labels).zip(tips) {
             let at = nominal.as_ref().map_or(tip.indicated, |nominal| nominal[row.0]);
             let count = document.points.len();
@@ -131,8 +148,41 @@ impl<'a> Document<'a> {
                 return Err(error.help("write a column `run`, which says which measurement a row is"));
             }
             document.runs[run].push((point, tip));
+            rows.push((row, point, tip));
+        }
+        if has_nominal {
+            document.are_where_they_are_said(table, &rows)?;
         }
         Ok(document)
+    }
+
+    /// Fails where a point was found at the nominal place of another one, and far from its own.
+    ///
+    /// The part may lie beside its place: what counts is the difference from the others, which more than half of the points tell.
+    fn are_where_they_are_said(&self, table: &Dataset, rows: &[(DataRow, usize, &Measured)]) -> Result<()> {
+        let difference = |tip: &Measured, at: &[f64; 3]| [0, 1, 2].map(|axis| tip.corrected[axis] - at[axis]);
+        let differences: Vec<[f64; 3]> =
+            rows.iter().map(|(_, point, tip)| difference(tip, &self.points[*point].1)).collect();
+        let of_part = [0, 1, 2].map(|axis| median(differences.iter().map(|by| by[axis]).collect()));
+        let size = |by: [f64; 3]| {
+            [0, 1, 2].map(|axis| by[axis] - of_part[axis]).iter().fold(0.0, |all: f64, part| all.hypot(*part))
+        };
+        let spread = median(differences.iter().map(|by| size(*by)).collect()).max(LEAST_SPREAD);
+        let far = rows.iter().zip(&differences).filter(|(_, by)| size(**by) > FAR * spread).take(TRIED);
+        for ((row, point, tip), by) in far {
+            let found = self.points.iter().find(|(_, at)| size(difference(tip, at)) < NEAR * spread);
+            if let Some((other, _)) = found {
+                let label = self.points[*point].0;
+                let message = format!(
+                    "point `{label}` was found {:.3} mm from its nominal place, and where `{other}` should be",
+                    size(*by)
+                );
+                return Err(table
+                    .error_at(*row, message)
+                    .help("are nominal places exchanged, or was another point measured?"));
+            }
+        }
+        Ok(())
     }
 
     /// The document. Ids: 1 is the definition of points, then nominal points, features, runs and measurements.

@@ -83,7 +83,7 @@ impl Baseline {
         let layout = &set.info().layout;
         let (labels, measured) = (layout.data.required_labels("point")?, layout.data.required_numbers("measured")?);
         let (mut points, mut touched) = (Vec::new(), Vec::new());
-        for point in &nominal.list {
+        for (nominal_row, point) in DataRow::enumerate(&nominal.list) {
             let taken = set.rows.iter().map(|&row| layout.rows[row]).filter_map(|row| Some((row, row.data_row?)));
             let rows: Vec<_> = taken.filter(|(_, data_row)| labels[*data_row] == point.label).collect();
             let Some((first, first_row)) = rows.first() else { continue };
@@ -93,6 +93,7 @@ impl Baseline {
             let status = set.poses().row(first.first_pose);
             let mut touch = Touch::new(problem.model.as_ref(), point, status)?;
             touch.status[problem.model.info().axes[touch.axis].status] = mean;
+            nominal.check_approach(nominal_row, &touch)?;
             points.push(Probed {
                 point: point.clone(),
                 min: readings.iter().copied().fold(f64::INFINITY, f64::min),

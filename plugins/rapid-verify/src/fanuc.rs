@@ -33,6 +33,7 @@ struct Settings {
     /// CSV file of the nominal points.
     nominal: String,
     /// Tolerance of every reading.
+    #[schemars(range(max = 1e4))]
     tolerance_um: f64,
     /// How the machine moves.
     motion: Motion,

@@ -119,12 +119,17 @@ impl Points {
                 return Err(self.data.error_at(row, message).help("is the chain that of this artefact's machine?"));
             }
             let touch = Touch::new(model, point, table.row(pose))?;
-            touch.meets(&model.info().nominal).map_err(|error| match error.place {
-                None => Error { help: error.help.clone(), ..self.data.error_at(row, error.message) },
-                Some(_) => error,
-            })?;
+            self.check_approach(row, &touch)?;
         }
         Ok(table)
+    }
+
+    /// Fails, with the line of the nominal file, if the approach of its row does not lead against the facet.
+    pub fn check_approach(&self, row: DataRow, touch: &Touch<'_>) -> Result<()> {
+        touch.meets(&touch.model.info().nominal).map_err(|error| match error.place {
+            None => Error { help: error.help.clone(), ..self.data.error_at(row, error.message) },
+            Some(_) => error,
+        })
     }
 }
 

@@ -31,6 +31,7 @@ struct Settings {
     /// CSV file of the nominal points.
     nominal: String,
     /// Tolerance of every reading.
+    #[schemars(range(max = 1e4))]
     tolerance_um: f64,
     /// How the machine moves.
     motion: Motion,
@@ -48,6 +49,7 @@ struct Settings {
     program: String,
     /// Orientation of the spindle with the probe, which a stylus beside the spindle line needs.
     #[serde(default)]
+    #[schemars(range(min = -360.0, max = 360.0))]
     spindle_deg: f64,
 }
 
@@ -86,8 +88,8 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Export>, Setti
     if !is_name(&settings.program) || settings.program.len() > 16 {
         return Err(SettingsError::new("program", "up to 16 letters, digits and `_` were expected, a letter first"));
     }
-    if !settings.spindle_deg.is_finite() {
-        return Err(SettingsError::new("spindle_deg", "a finite number was expected"));
+    if !(-360.0..=360.0).contains(&settings.spindle_deg) {
+        return Err(SettingsError::new("spindle_deg", "a number from -360 to 360 was expected"));
     }
     let common = Common::new(context, &settings.nominal, settings.tolerance_um, &settings.motion)?;
     Ok(common.exporter(Siemens { settings }))

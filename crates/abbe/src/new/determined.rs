@@ -94,7 +94,27 @@ pub fn begin(
     }
     let folder =
         TemporaryFolder::new().map_err(|error| Error::data(format!("there is no temporary folder: {error}")))?;
-    let mut trial = Trial { folder, registry, monitor, files: BTreeMap::new() };
+    let at = folder.path().to_owned();
+    let trial = Trial { folder, registry, monitor, files: BTreeMap::new() };
+    begun(trial, chain, method, controller).map_err(|error| of_user(error, &at, chain))
+}
+
+/// An error without the temporary file in which it was found: users have none yet. What they have is the machine.
+fn of_user(error: Error, at: &Path, chain: &StructuralLoop) -> Error {
+    let is_temporary = error.place.as_ref().is_some_and(|place| place.file.starts_with(at));
+    if !is_temporary {
+        return error;
+    }
+    let message = format!("a machine with the axes {chain}: {}", error.message);
+    Error { place: None, stage: None, message, ..error }
+}
+
+fn begun(
+    mut trial: Trial<'_>,
+    chain: &StructuralLoop,
+    method: Method,
+    controller: Option<Controller>,
+) -> Result<Beginning> {
     if let Some(nominal) = method.nominal_file() {
         trial.write(nominal, method.nominal())?;
     }
@@ -282,5 +302,19 @@ fn exporters(controller: Controller) -> &'static [&'static str] {
         Controller::Siemens => &["siemens-kinematics", "siemens-tables"],
         Controller::Heidenhain => &["heidenhain-kinematics", "heidenhain-tables"],
         Controller::Grbl => &["grbl"],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// No plugin is linked here: no machine can be built.
+    #[test]
+    fn errors_name_no_temporary_file() {
+        let (chain, registry) = ("w b X Y Z t".parse().unwrap(), Registry::built_in().unwrap());
+        let error = begin(&chain, Method::Lengths, None, &registry, &Monitor::default()).unwrap_err();
+        assert_eq!(error.place, None, "{error}");
+        assert!(error.message.starts_with("a machine with the axes w b X Y Z t: "), "{error}");
     }
 }
