@@ -178,7 +178,8 @@ impl Assembly {
 
     /// The data set of some rows of the files, from the joined table as it was read; no row may be left.
     pub(crate) fn part(&self, rows: Dataset, table: Option<&Dataset>) -> Result<Dataset> {
-        let (data, stays) = self.completed(rows, &|_| table.cloned().ok_or_else(|| Error::data("no table was read")))?;
+        let (data, stays) =
+            self.completed(rows, &|_| table.cloned().ok_or_else(|| Error::data("no table was read")))?;
         let stays = self.filtered(&data, stays)?;
         Ok(selected(data, &stays))
     }

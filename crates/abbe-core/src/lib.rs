@@ -43,7 +43,8 @@ pub use problem::{
 pub use quantities::Quantities;
 pub use registry::{Build, Constructor, Context, EstimateSource, Kind, Origin, Plugin, Provider, Registry};
 pub use stage::{
-    Artefact, Batch, Batches, CommandCorrection, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Parts, Validate,
+    Artefact, Batch, Batches, CommandCorrection, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Parts,
+    Validate,
 };
 pub use table::{Cell, ColumnCells, Field, RowsOfTable, SharedCells, Table};
 pub use uncertainty::{CovarianceBlock, EquationUncertainty, PooledRepeatability};
@@ -60,8 +61,8 @@ pub use abbe_results::{
 };
 pub use abbe_settings::{
     Class, Convergence, Error, EvenSeries, Event, Label, Monitor, Names, PathItem, Place, Quantity, Result, Series,
-    SettingsError, Termination, Unit, Whole, free_threads, from_json, from_settings, from_settings_in_range, harmless, harmless_json,
-    in_parallel, matches, nearest, not_negative, path_text, positive, ranges, schema_of,
+    SettingsError, Termination, Unit, Whole, free_threads, from_json, from_settings, from_settings_in_range, harmless,
+    harmless_json, in_parallel, matches, nearest, not_negative, path_text, positive, ranges, schema_of,
 };
 
 /// Re-exported so that plugins register with the same version of `inventory` that the registry uses.

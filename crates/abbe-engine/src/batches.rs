@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use abbe_core::{
-    AskedOfPart, Batches, DataRecord, Error, Fit, Identifiability, Kind, KinematicModel, Monitor,
-    PartEvidence, Parts, Problem, Result, free_threads,
+    AskedOfPart, Batches, DataRecord, Error, Fit, Identifiability, Kind, KinematicModel, Monitor, PartEvidence, Parts,
+    Problem, Result, free_threads,
 };
 use abbe_estimation::{joined_evidence, part_evidence};
 use abbe_recipe::Stage;
@@ -77,7 +77,8 @@ impl Prepared {
     /// Looks through the data sets that are read in batches.
     pub(crate) fn sources(&self) -> Result<Sources<'_>> {
         let stages = self.stages(Kind::Ingest).filter(|stage| self.is_in_batches(&stage.name));
-        let source = |stage: &Stage| Ok((stage.name.clone(), self.located(stage, self.ingests[&stage.name].batches())?));
+        let source =
+            |stage: &Stage| Ok((stage.name.clone(), self.located(stage, self.ingests[&stage.name].batches())?));
         stages.map(source).collect()
     }
 
@@ -129,8 +130,7 @@ impl<'a> InBatches<'a> {
         for (ingest, rows) in std::mem::take(&mut all.taken) {
             taken.entry(ingest).or_default().extend(rows);
         }
-        let stages: Vec<&Stage> =
-            prepared.stages(Kind::Estimate).filter(|stage| prepared.has_batches(stage)).collect();
+        let stages: Vec<&Stage> = prepared.stages(Kind::Estimate).filter(|stage| prepared.has_batches(stage)).collect();
         for stage in stages {
             let known = prepared.located(stage, batches.known(stage, all.parts.remove(&stage.name)))?;
             batches.estimates.insert(stage.name.clone(), known);
@@ -310,9 +310,8 @@ impl Parts for AllBatches<'_> {
                 (0..self.batches.count(ingest)).map(move |batch| (ingest.as_str(), batch, index == 0 && batch == 0))
             })
             .collect();
-        let answer = |(ingest, batch, with_others): &(&str, usize, bool)| {
-            self.answer(ingest, *batch, *with_others, asked, at)
-        };
+        let answer =
+            |(ingest, batch, with_others): &(&str, usize, bool)| self.answer(ingest, *batch, *with_others, asked, at);
         let join = |all: &mut PartEvidence, own: PartEvidence| {
             *all = joined_evidence(all, &own)?;
             Ok(())
@@ -334,8 +333,7 @@ impl AllBatches<'_> {
     ) -> Result<PartEvidence> {
         self.monitor.check()?;
         // Other values of the unknowns would not help.
-        let (data, _) =
-            self.batches.with_batch(ingest, batch).map_err(|error| Error { fatal: true, ..error })?;
+        let (data, _) = self.batches.with_batch(ingest, batch).map_err(|error| Error { fatal: true, ..error })?;
         let model = self.known.problem.model.clone();
         let problem = self.batches.problem_of(self.stage, ingest, with_others, model, &data, None)?;
         part_evidence(&problem, asked, &values_at(&problem, at))

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use abbe_core::{
     AskedOfPart, Contact, DataRecord, Equations, Error, EstimateSource, Fit, Kind, KinematicModel, KnownInput, Layout,
-    ModelRecord, Monitor, ObservationSet, Observations, ObservationsInfo, Orientation, Parameter, PartEvidence, Parts, Problem,
-    Result, RowBatch, matches,
+    ModelRecord, Monitor, ObservationSet, Observations, ObservationsInfo, Orientation, Parameter, PartEvidence, Parts,
+    Problem, Result, RowBatch, matches,
 };
 use abbe_estimation::{joined_evidence, part_evidence};
 use abbe_recipe::Stage;

@@ -74,11 +74,7 @@ impl Prepared {
     pub(crate) fn rehearse(
         &self,
         libraries: bool,
-        (problems, groups, batches): (
-            &BTreeMap<String, Problem>,
-            &BTreeMap<String, Vec<GroupProblem>>,
-            &InBatches<'_>,
-        ),
+        (problems, groups, batches): (&BTreeMap<String, Problem>, &BTreeMap<String, Vec<GroupProblem>>, &InBatches<'_>),
         found: &BTreeMap<String, Identifiability>,
         unseen: &Predicted,
         data: &Datasets,

@@ -6,7 +6,8 @@ use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use abbe_core::{
-    Class, DataRecord, Dataset, Error, EstimateSource, Event, Export, ExportedFile, Findings, Fit, Kind, Monitor, ObservationSet, Problem, Result, Verdict, in_parallel,
+    Class, DataRecord, Dataset, Error, EstimateSource, Event, Export, ExportedFile, Findings, Fit, Kind, Monitor,
+    ObservationSet, Problem, Result, Verdict, in_parallel,
 };
 use abbe_estimation::{copies, remarks};
 use abbe_recipe::Stage;
@@ -61,8 +62,7 @@ impl Prepared {
         let inputs = self.with_given(inputs.clone(), &data)?;
         let mut taken = Taken::default();
         let problems = self.problems_of(&data, &mut taken, |stage| !self.has_batches(stage))?;
-        let batches =
-            InBatches::new(self, sources, &data, &inputs, monitor, &mut taken).map_err(unless_changed)?;
+        let batches = InBatches::new(self, sources, &data, &inputs, monitor, &mut taken).map_err(unless_changed)?;
         let digests = digests(&inputs);
         let evidence = self.evidence(&problems, &batches, &data, &digests)?;
         let groups = self.group_problems(&data)?;

@@ -60,9 +60,7 @@ fn of_no_rows(asked: AskedOfPart, own: &[String]) -> PartEvidence {
     match asked {
         AskedOfPart::Start => PartEvidence { recorded: rows(), nominal: rows(), ..PartEvidence::default() },
         AskedOfPart::Rows => PartEvidence { recorded: rows(), ..PartEvidence::default() },
-        AskedOfPart::Solution => {
-            PartEvidence { residuals: Some(ResidualSums::default()), ..PartEvidence::default() }
-        }
+        AskedOfPart::Solution => PartEvidence { residuals: Some(ResidualSums::default()), ..PartEvidence::default() },
     }
 }
 

@@ -54,7 +54,14 @@ impl FileInBatches {
         if layout.encoding == Encoding::Utf16 {
             return whole("text in UTF-16 is not read in batches", "save it as UTF-8, or leave `batch_rows` out");
         }
-        let mut lines = Lines { path, layout, reader: BufReader::with_capacity(1 << 16, content), line: Vec::new(), read: 0, bytes: 0 };
+        let mut lines = Lines {
+            path,
+            layout,
+            reader: BufReader::with_capacity(1 << 16, content),
+            line: Vec::new(),
+            read: 0,
+            bytes: 0,
+        };
         let mut head = lines.head()?;
         let batches = lines.batches(&mut head, rows)?;
         if batches.is_empty() {
@@ -223,7 +230,8 @@ mod tests {
 
     #[test]
     fn batches_are_the_rows_of_the_file() {
-        let plain = "\u{feff}# titles\nfeature,X_mm\n\na,1\n# a note\n\"b\",2\n \n\"\"\n\u{a0}\nc,-\nd,4\r\ne,5\n#\nPAR1,6";
+        let plain =
+            "\u{feff}# titles\nfeature,X_mm\n\na,1\n# a note\n\"b\",2\n \n\"\"\n\u{a0}\nc,-\nd,4\r\ne,5\n#\nPAR1,6";
         let no_header = "t\nt\n1 2\n3 4\n5 6\n";
         let columns = |x: &str| {
             let source = crate::ColumnSource { column: x.to_owned(), unit: None };

@@ -106,8 +106,7 @@ impl Head {
     ) -> Result<(Dataset, usize)> {
         let mut records = Records::new(path, text, layout.separator);
         records.line += lines;
-        let (data, row) =
-            Rows { taken: &self.taken, width: self.width, before: rows }.read(records, layout, text)?;
+        let (data, row) = Rows { taken: &self.taken, width: self.width, before: rows }.read(records, layout, text)?;
         let left_out = row - rows - data.origins.len();
         Ok((data, left_out))
     }

@@ -8,7 +8,8 @@ use crate::GaussNewton;
 use crate::settings::{OnConfounded, Variance};
 
 /// What to do about a setting that needs all rows.
-const AT_ONCE: &str = "leave it out, or estimate all rows at once: `abbe run`, without `batch_rows` where they are read";
+const AT_ONCE: &str =
+    "leave it out, or estimate all rows at once: `abbe run`, without `batch_rows` where they are read";
 
 impl GaussNewton {
     /// The estimate from parts: the iteration of all rows at once, on the triangles of parts.
