@@ -258,6 +258,14 @@ impl abbe_core::Artefact for Dependent {
         self.0.observe(data, model)
     }
 
+    fn observe_some(
+        &self,
+        data: &std::sync::Arc<abbe_core::Dataset>,
+        model: &dyn abbe_core::KinematicModel,
+    ) -> abbe_core::Result<Option<std::sync::Arc<dyn abbe_core::Observations>>> {
+        self.0.observe_some(data, model)
+    }
+
     fn rows_are_independent(&self) -> bool {
         true
     }
