@@ -9,7 +9,7 @@ use abbe_core::{
     Class, DataRecord, Dataset, Error, EstimateSource, Event, Export, ExportedFile, Findings, Fit, Kind, Monitor,
     ObservationSet, Problem, Result, Verdict, in_parallel,
 };
-use abbe_estimation::{copies, remarks};
+use abbe_estimation::{comparisons, copies, remarks};
 use abbe_recipe::Stage;
 
 use crate::batches::{InBatches, Sources};
@@ -95,7 +95,8 @@ impl Prepared {
         failures.extend(implausible);
         let told = |(name, problem): (&String, &Problem)| {
             let is_there = fits.iter().any(|fit| fit.name == *name);
-            let texts = if is_there { [remarks(problem), copies(problem)].concat() } else { Vec::new() };
+            let texts =
+                if is_there { [remarks(problem), copies(problem), comparisons(problem)].concat() } else { Vec::new() };
             texts.into_iter().map(|text| Remark { estimate: name.clone(), text }).collect::<Vec<_>>()
         };
         let of_fits = problems.iter().filter(|(_, problem)| !problem.sets.is_empty()).flat_map(told);
@@ -274,6 +275,7 @@ impl Prepared {
         remarks(&problem).iter().chain(&copies(&problem)).for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
         let explained = estimator.explain(&problem).map_err(|error| self.with_mistakes(stage, &problem, error));
         let mut calibration = self.located(stage, explained)?;
+        comparisons(&problem).iter().for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
         calibration.fit.statuses = statuses::of_problem(&problem);
         self.located(stage, check_uncertainties(&calibration))?;
         // Later users of the problem get the rows with the uncertainties that the fit used.

@@ -36,10 +36,14 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks.extend(planned(problem));
     remarks.extend(tilted_probe(problem));
     remarks.extend(turned(problem));
-    remarks.extend(turned_readings(problem));
-    remarks.extend(exchanged(problem));
     remarks.extend(contradicted_by_order(problem));
     remarks
+}
+
+/// Sentences on readings whose signs, and on columns whose places, the rest of the rows contradicts: other fits of the same rows tell.
+/// They come after the fit itself, so that a machine that fails at other values fails there.
+pub fn comparisons(problem: &Problem) -> Vec<String> {
+    turned_readings(problem).into_iter().chain(exchanged(problem)).collect()
 }
 
 /// Times that fall in every row.
