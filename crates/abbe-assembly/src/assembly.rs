@@ -317,7 +317,7 @@ fn in_settings(error: Error, setting: &str, key: &str) -> Error {
 }
 
 /// Appends the rows of one file, which must have the same columns in any order.
-pub(crate) fn append(data: &mut Dataset, mut part: Dataset) -> Result<()> {
+pub(crate) fn append(data: &mut Dataset, part: Dataset) -> Result<()> {
     let Some(first) = data.files.first() else {
         *data = part;
         return Ok(());
@@ -341,21 +341,7 @@ pub(crate) fn append(data: &mut Dataset, mut part: Dataset) -> Result<()> {
             return Err(differ(column, path, first));
         }
     }
-    let mut more: BTreeMap<String, Values> =
-        part.columns.into_iter().map(|column| (column.header.header, column.values)).collect();
-    for column in &mut data.columns {
-        match (&mut column.values, more.get_mut(&column.header.header)) {
-            (Values::Numbers(numbers), Some(Values::Numbers(more))) => numbers.append(more),
-            (Values::Labels(labels), Some(Values::Labels(more))) => labels.append(more),
-            // Columns of the same header hold the same kind of values.
-            _ => {}
-        }
-    }
-    let files = data.files.len();
-    data.origins.extend(part.origins.into_iter().map(|origin| RowOrigin { file: origin.file + files, ..origin }));
-    data.stated_tips.extend(part.stated_tips.into_iter().map(|tip| StatedTip { file: tip.file + files, ..tip }));
-    data.files.append(&mut part.files);
-    Ok(())
+    data.append(part)
 }
 
 /// Adds the column `file`; false if the files have one of their own.

@@ -52,6 +52,14 @@ pub struct Column {
     pub values: Values,
 }
 
+impl Column {
+    /// Whether another column has the same header, and values of the same kind.
+    fn is_like(&self, other: &Self) -> bool {
+        let numbers = |column: &Self| matches!(column.values, Values::Numbers(_));
+        self.header.header == other.header.header && numbers(self) == numbers(other)
+    }
+}
+
 /// Where a row was read, so that messages and results can point at it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct RowOrigin {
@@ -155,6 +163,45 @@ impl Dataset {
         }
     }
 
+    /// Adds the rows of a data set with the same columns, in any order. Files that both have are one.
+    ///
+    /// Fails, and adds nothing, where a column of one is not in the other.
+    pub fn append(&mut self, more: Self) -> Result<()> {
+        let place = |column: &Column| more.columns.iter().position(|other| other.is_like(column));
+        let places: Option<Vec<usize>> = self.columns.iter().map(place).collect();
+        let Some(places) = places.filter(|places| places.len() == more.columns.len()) else {
+            let (own, other) = (list(&self.headers()), list(&more.headers()));
+            return Err(Error::data(format!("rows with the columns {own} and {other} do not belong together")));
+        };
+        let mut values: Vec<Values> = more.columns.into_iter().map(|column| column.values).collect();
+        for (column, place) in self.columns.iter_mut().zip(places) {
+            match (&mut column.values, &mut values[place]) {
+                (Values::Numbers(own), Values::Numbers(more)) => own.append(more),
+                (Values::Labels(own), Values::Labels(more)) => own.append(more),
+                // They are alike.
+                _ => {}
+            }
+        }
+        let files: Vec<usize> = more.files.into_iter().map(|file| self.place_of(file)).collect();
+        let origin = |origin: RowOrigin| RowOrigin { file: files[origin.file], ..origin };
+        self.origins.extend(more.origins.into_iter().map(origin));
+        for tip in more.stated_tips.into_iter().map(|tip| StatedTip { file: files[tip.file], ..tip }) {
+            if !self.stated_tips.contains(&tip) {
+                self.stated_tips.push(tip);
+            }
+        }
+        Ok(())
+    }
+
+    /// The index of a file, which is added if it is not known yet.
+    fn place_of(&mut self, file: PathBuf) -> usize {
+        let known = self.files.iter().position(|known| *known == file);
+        known.unwrap_or_else(|| {
+            self.files.push(file);
+            self.files.len() - 1
+        })
+    }
+
     /// The headers of all columns.
     pub fn headers(&self) -> Vec<ColumnHeader> {
         self.columns.iter().map(|column| column.header.clone()).collect()
@@ -237,4 +284,53 @@ fn has_unit_of_its_own(header: &str, name: &str) -> bool {
 
 fn list(headers: &[ColumnHeader]) -> String {
     headers.iter().map(|header| format!("`{}`", header.header)).collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn column(header: &str, values: Values) -> Column {
+        Column { header: ColumnHeader::parse(header), values }
+    }
+
+    /// Rows of two files, in one order of the columns or the other.
+    fn rows(files: [&str; 2], first: f64, turned: bool) -> Dataset {
+        let mut columns = vec![
+            column("X_mm", Values::Numbers(vec![first, first + 1.0])),
+            column("feature", Values::Labels(vec![format!("{first}"), "b".to_owned()])),
+        ];
+        if turned {
+            columns.reverse();
+        }
+        let origin = |file| RowOrigin { file, line: file + 2, row: file + 1 };
+        let stated_tips = vec![StatedTip { diameter: first, file: 1, line: 1 }];
+        let files = files.map(PathBuf::from).to_vec();
+        Dataset { columns, origins: vec![origin(0), origin(1)], files, stated_tips, ..Dataset::default() }
+    }
+
+    #[test]
+    fn rows_are_added_with_their_files() {
+        let mut all = rows(["a.csv", "b.csv"], 1.0, false);
+        all.append(rows(["b.csv", "c.csv"], 3.0, true)).unwrap();
+        assert_eq!(all.numbers("X").unwrap(), [1.0, 2.0, 3.0, 4.0]);
+        assert_eq!(all.labels("feature").unwrap(), ["1", "b", "3", "b"]);
+        assert_eq!(all.files, ["a.csv", "b.csv", "c.csv"].map(PathBuf::from));
+        assert_eq!(all.origins.iter().map(|origin| origin.file).collect::<Vec<_>>(), [0, 1, 1, 2]);
+        assert_eq!(all.stated_tips.iter().map(|tip| tip.file).collect::<Vec<_>>(), [1, 2]);
+    }
+
+    #[test]
+    fn rows_with_other_columns_are_refused_and_nothing_is_added() {
+        let all = rows(["a.csv", "b.csv"], 1.0, false);
+        let mut fewer = all.clone();
+        fewer.columns.pop();
+        let mut others = all.clone();
+        others.columns[1] = column("feature", Values::Numbers(vec![1.0, 2.0]));
+        for (mut one, other) in [(all.clone(), fewer.clone()), (fewer, all.clone()), (all, others)] {
+            let before = one.clone();
+            one.append(other).unwrap_err();
+            assert_eq!(one, before);
+        }
+    }
 }

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use abbe_core::{DataRow, Dataset, Error, Fit, Group, Kind, ListedBy, Monitor, Problem, Result, in_parallel};
-use abbe_estimation::{copied_runs, copies};
+use abbe_estimation::{comparisons, copied_runs, copies};
 use abbe_recipe::Stage;
 
 use crate::evidence::{Digests, of_problem};
@@ -104,6 +104,7 @@ impl Prepared {
             let problem = group.problem.watched_by(monitor.of_stage(&stage.name));
             let records = of_problem(&problem, digests);
             let mut fit = self.fit(stage, problem)?;
+            comparisons(&fit.problem).iter().for_each(|remark| tracing::warn!("{}: {remark}", group.name));
             fit.name.clone_from(&group.name);
             fit.calibration.group = Some(group.group.clone());
             fit.calibration.data = records;

@@ -95,8 +95,12 @@ impl Prepared {
         failures.extend(implausible);
         let told = |(name, problem): (&String, &Problem)| {
             let is_there = fits.iter().any(|fit| fit.name == *name);
-            let texts =
-                if is_there { [remarks(problem), copies(problem), comparisons(problem)].concat() } else { Vec::new() };
+            let mut texts = Vec::new();
+            if is_there {
+                let compared = comparisons(problem);
+                compared.iter().for_each(|remark| tracing::warn!("{name}: {remark}"));
+                texts.extend([remarks(problem), copies(problem), compared].into_iter().flatten());
+            }
             texts.into_iter().map(|text| Remark { estimate: name.clone(), text }).collect::<Vec<_>>()
         };
         let of_fits = problems.iter().filter(|(_, problem)| !problem.sets.is_empty()).flat_map(told);
@@ -275,7 +279,6 @@ impl Prepared {
         remarks(&problem).iter().chain(&copies(&problem)).for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
         let explained = estimator.explain(&problem).map_err(|error| self.with_mistakes(stage, &problem, error));
         let mut calibration = self.located(stage, explained)?;
-        comparisons(&problem).iter().for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
         calibration.fit.statuses = statuses::of_problem(&problem);
         self.located(stage, check_uncertainties(&calibration))?;
         // Later users of the problem get the rows with the uncertainties that the fit used.

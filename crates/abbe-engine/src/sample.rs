@@ -1,8 +1,9 @@
 //! Rows that are chosen at random of data sets that are read in batches: what tables of residuals and charts show of them.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 
-use abbe_core::{DataRow, Dataset, Error, Fit, Monitor, Problem, Result, RowOrigin, Values, free_threads};
+use abbe_core::{DataRow, Dataset, Error, Fit, Monitor, Problem, Result, RowOrigin, free_threads};
 
 use crate::batches::InBatches;
 use crate::in_order::in_order;
@@ -50,17 +51,21 @@ impl InBatches<'_> {
             monitor.check()?;
             let (data, _) = self.with_batch(ingest, *batch)?;
             let data = &data[ingest];
-            let is_chosen = |row: &DataRow| is_chosen(&data.origins[*row], all);
+            let is_chosen = |row: &DataRow| is_chosen(data.origins[*row], &data.files, all);
             Ok(data.of_rows(&data.row_indices().filter(is_chosen).collect::<Vec<_>>()))
         };
-        let found = in_order(&batches, free_threads(), of_batch, append, |_| ())?;
+        let found = in_order(&batches, free_threads(), of_batch, Dataset::append, |_| ())?;
         found.ok_or_else(|| Error::data("there are no rows").stage(ingest))
     }
 }
 
-/// Whether a row of a data set of `all` rows is chosen: its place in its file decides, whatever batch it is in.
-fn is_chosen(origin: &RowOrigin, all: usize) -> bool {
-    all <= CHOSEN || mixed(SEED ^ mixed(origin.row as u64)) % (all as u64) < CHOSEN as u64
+/// Whether a row of a data set of `all` rows is chosen: its file and its place there decide, whatever batch it is in. Files that repeat
+/// a programme give other rows of it.
+fn is_chosen(origin: RowOrigin, files: &[PathBuf], all: usize) -> bool {
+    // The name without its folders: the same rows wherever a recipe lies.
+    let name = files[origin.file].file_name().map(|name| name.as_encoded_bytes()).unwrap_or_default();
+    let file = name.iter().fold(SEED, |seed, byte| mixed(seed ^ u64::from(*byte)));
+    all <= CHOSEN || mixed(file ^ mixed(origin.row as u64)) % (all as u64) < CHOSEN as u64
 }
 
 /// A number as good as a random one (the finaliser of SplitMix64: Steele, Lea and Flood 2014, OOPSLA).
@@ -71,40 +76,21 @@ fn mixed(number: u64) -> u64 {
     mixed ^ (mixed >> 31)
 }
 
-/// Adds rows of the same stage.
-fn append(all: &mut Dataset, more: Dataset) -> Result<()> {
-    for column in &mut all.columns {
-        let same = more.columns.iter().find(|other| other.header == column.header);
-        match (&mut column.values, same.map(|same| &same.values)) {
-            (Values::Numbers(all), Some(Values::Numbers(more))) => all.extend(more),
-            (Values::Labels(all), Some(Values::Labels(more))) => all.extend(more.iter().cloned()),
-            _ => return Err(Error::data(format!("there is no column `{}` in all batches", column.header.header))),
-        }
-    }
-    let place = |file: &std::path::PathBuf| all.files.iter().position(|known| known == file);
-    let mut places: Vec<Option<usize>> = more.files.iter().map(place).collect();
-    for (file, place) in more.files.iter().zip(&mut places) {
-        if place.is_none() {
-            *place = Some(all.files.len());
-            all.files.push(file.clone());
-        }
-    }
-    let moved = |origin: RowOrigin| RowOrigin { file: places[origin.file].unwrap_or(0), ..origin };
-    all.origins.extend(more.origins.into_iter().map(moved));
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn about_as_many_rows_are_chosen_as_wanted() {
+        let files = ["monday.csv", "tuesday.csv"].map(PathBuf::from);
         for all in [1, CHOSEN, 3 * CHOSEN, 1_000_000] {
-            let origin = |row| RowOrigin { file: 0, line: row + 1, row };
-            let chosen = (1..=all).filter(|row| is_chosen(&origin(*row), all)).count();
+            let origin = |row: usize| RowOrigin { file: row % 2, line: row + 1, row: row / 2 };
+            let chosen: Vec<usize> = (1..=all).filter(|row| is_chosen(origin(*row), &files, all)).collect();
             let allowed = if all <= CHOSEN { 0 } else { CHOSEN / 20 };
-            assert!(chosen.abs_diff(all.min(CHOSEN)) <= allowed, "{chosen} of {all}");
+            assert!(chosen.len().abs_diff(all.min(CHOSEN)) <= allowed, "{} of {all}", chosen.len());
+            // The rows of one file say nothing of those of another one.
+            let both = chosen.iter().filter(|row| *row % 2 == 0 && chosen.binary_search(&(*row + 1)).is_ok());
+            assert!(all <= 3 * CHOSEN || both.count() < CHOSEN / 100);
         }
     }
 }

@@ -34,9 +34,12 @@ impl From<f64> for Limit {
 /// Largest limit, in the unit of its key: in µm a metre. A larger one judges nothing, and none is below zero: figures with limits are sizes.
 const LARGEST: f64 = 1e6;
 
+const EXPECTED: &str = "a limit from 0 to 1e6 was expected";
+
 fn bounded<E: Error>(value: f64) -> Result<f64, E> {
     match value.is_finite() && !(0.0..=LARGEST).contains(&value) {
-        true => Err(E::custom(format_args!("{value:e}: a limit from 0 to 1e6 was expected"))),
+        true if value.abs() <= LARGEST => Err(E::custom(format_args!("{value}: {EXPECTED}"))),
+        true => Err(E::custom(format_args!("{value:e}: {EXPECTED}"))),
         false => Ok(value),
     }
 }
@@ -182,8 +185,8 @@ mod tests {
                 json!([30]),
                 "limits.max_um: a list was found; a number or a map `{ limit: 30, decision: simple }` was expected",
             ),
-            (json!(-3), "limits.max_um: -3e0: a limit from 0 to 1e6 was expected"),
-            (json!({ "limit": -0.5 }), "limits.max_um: -5e-1: a limit from 0 to 1e6 was expected"),
+            (json!(-3), "limits.max_um: -3: a limit from 0 to 1e6 was expected"),
+            (json!({ "limit": -0.5 }), "limits.max_um: -0.5: a limit from 0 to 1e6 was expected"),
             (json!({ "decision": "simple" }), "limits.max_um: the setting `limit` is missing"),
             (json!({ "limit": "30" }), "limits.max_um.limit: the text `30` was found; a number was expected"),
             (

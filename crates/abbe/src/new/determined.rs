@@ -309,12 +309,15 @@ fn exporters(controller: Controller) -> &'static [&'static str] {
 mod tests {
     use super::*;
 
-    /// No plugin is linked here: no machine can be built.
     #[test]
     fn errors_name_no_temporary_file() {
-        let (chain, registry) = ("w b X Y Z t".parse().unwrap(), Registry::built_in().unwrap());
-        let error = begin(&chain, Method::Lengths, None, &registry, &Monitor::default()).unwrap_err();
-        assert_eq!(error.place, None, "{error}");
-        assert!(error.message.starts_with("a machine with the axes w b X Y Z t: "), "{error}");
+        let (chain, at) = ("w b X Y Z t".parse().unwrap(), Path::new("/tmp/trial"));
+        let error = Error::usage("there is no model plugin `serial-chain`").stage("machine");
+        let found = of_user(error.clone().at(&at.join("alone.yaml"), 4, None), at, &chain);
+        assert_eq!((found.place, found.stage), (None, None));
+        assert_eq!(found.message, format!("a machine with the axes w b X Y Z t: {}", error.message));
+        // What a user has is named.
+        let own = error.at(Path::new("machine.yaml"), 4, None);
+        assert_eq!(of_user(own.clone(), at, &chain).place, own.place);
     }
 }

@@ -164,11 +164,11 @@ fn settings_that_make_no_sense_are_refused() {
         ),
         (
             json!({ "parameters": [{ "names": ["dxt"], "expanded_um": -2 }] }),
-            "parameters[0].expanded_um: -2: a positive number was expected",
+            "parameters[0].expanded_um: -2: a limit from 0 to 1e6 was expected",
         ),
         (
             json!({ "parameters": [{ "names": ["dxt"], "expanded_um": { "limit": -2 } }] }),
-            "parameters[0].expanded_um: -2: a positive number was expected",
+            "parameters[0].expanded_um: -2: a limit from 0 to 1e6 was expected",
         ),
         (
             json!({ "parameters": [{ "names": ["dxt"], "expanded_um": { "limit": 2, "decision": "simpel" } }] }),
