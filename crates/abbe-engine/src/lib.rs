@@ -15,6 +15,7 @@ mod folder;
 mod given;
 mod groups;
 mod in_order;
+mod kept;
 mod laws;
 mod outcome;
 mod parts;

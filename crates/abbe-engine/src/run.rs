@@ -57,7 +57,7 @@ impl Prepared {
         self.same_content(&inputs).iter().for_each(|sentence| tracing::warn!("{sentence}"));
         // What is wrong with a file that has changed meanwhile is not wrong with the file that there was.
         let unless_changed = |error| unchanged(&seen, &inputs).err().unwrap_or(error);
-        let sources = self.sources().map_err(unless_changed)?;
+        let sources = self.sources_read_once().map_err(unless_changed)?;
         let data = self.read_with(monitor, &sources).map_err(unless_changed)?;
         let inputs = self.with_given(inputs.clone(), &data)?;
         let mut taken = Taken::default();
