@@ -9,8 +9,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use abbe_core::{
-    Column, ColumnHeader, Context, DataRow, Dataset, Error, InputFile, Label, PathItem, Quantity, Result, RowOrigin,
-    SettingsError, StatedTip, Values,
+    Column, ColumnHeader, Context, DataRow, Dataset, Error, InputFile, Label, PathItem, Quantity, Result,
+    SettingsError, Values,
 };
 use abbe_table::Layout;
 use schemars::JsonSchema;

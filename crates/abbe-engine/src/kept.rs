@@ -164,14 +164,14 @@ impl Cells {
             Values::Numbers(numbers) => return Self::Numbers(numbers.clone()),
             Values::Labels(labels) => labels,
         };
-        let (mut known, mut distinct) = (HashMap::new(), Vec::new());
-        let place = |label: &String| {
-            *known.entry(label.as_str()).or_insert_with(|| {
+        let (mut known, mut distinct): (HashMap<&str, usize>, Vec<String>) = Default::default();
+        let mut rows = Vec::with_capacity(labels.len());
+        for label in labels {
+            rows.push(*known.entry(label).or_insert_with(|| {
                 distinct.push(label.clone());
                 distinct.len() - 1
-            })
-        };
-        let rows = labels.iter().map(place).collect();
+            }));
+        }
         Self::Labels { distinct, rows }
     }
 
