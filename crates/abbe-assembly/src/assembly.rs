@@ -311,9 +311,9 @@ pub fn emptied(data: Dataset) -> Dataset {
     Dataset { columns, origins: Vec::new(), ..data }
 }
 
-/// The error at a place of the settings instead of a file: the statement of the recipe about the file is wrong.
+/// The error at a place of the settings: the statement of the recipe about the file is wrong.
 fn in_settings(error: Error, setting: &str, key: &str) -> Error {
-    Error { place: None, setting: [setting, key].map(|key| PathItem::Key(key.to_owned())).into(), ..error }
+    error.setting_at(&[setting, key])
 }
 
 /// Appends the rows of one file, which must have the same columns in any order.
