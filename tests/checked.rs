@@ -35,11 +35,12 @@ fn names_that_no_row_has_are_told_by_a_check() {
         ("too many folds", hold_out("5000"), &["5000 folds were asked for"]),
         (
             "one repeat",
-            "  unseen: { validate: repeats, of: fine, by: file }".to_owned(),
-            &["the column `file` has", "two repeats or more were expected"],
+            "  unseen: { validate: repeats, of: fine, by: round }".to_owned(),
+            &["the column `round` has 1 label", "two repeats or more were expected"],
         ),
     ] {
-        small.write("recipe.yaml", &SMALL.replace(unseen, &stage));
+        let round = SMALL.replace("path: data/touches.csv", "path: data/touches.csv, constants: { round: first }");
+        small.write("recipe.yaml", &round.replace(unseen, &stage));
         both_say(case, small.folder.path(), words, 1);
     }
     // As it stands, nobody says a word.
@@ -66,6 +67,13 @@ fn names_of_runs_and_estimates_of_a_spindle_are_told_by_a_check() {
         }
         assert!(check.status == status && run.status != 0, "{setting}: {} {}", check.status, run.status);
     }
+    let at = folder.path();
+    let tools = Variant::of(&recipes()["tool-check-exact"]).set("before-the-cut", "tools", json!([1, 77]));
+    std::fs::rename(tools.write(at), at.join("recipe.yaml")).expect("a recipe");
+    let [check, run] = [&["check", "recipe.yaml"][..], &["run", "recipe.yaml", "--out", "out"]].map(|all| abbe(at, all));
+    for printed in [&check, &run] {
+        assert!(printed.status != 0 && said(printed).contains("77"), "{}", said(printed));
+    }
 }
 
 /// Each case has the setting and its value, the place of the value, and the file that lacks it.
@@ -86,7 +94,6 @@ fn a_missing_column_is_told_with_its_setting_its_line_and_its_file() {
     for (case, recipe, setting) in [
         ("hold-out", judged(&last.replace("column: group", "column: grop")), "column"),
         ("repeats", judged("  unseen: { validate: repeats, of: fine, by: grop }"), "by"),
-        ("residuals", judged("  unseen: { validate: residuals, of: fine, by: [grop] }"), "by"),
         ("per", SMALL.replace("    start: rough\n", "    per: grop\n"), "per"),
         ("centres", balls, "centres_by"),
         ("unseen rows", SMALL.replace(rows, &format!("{rows}, unseen: {{ grop: [1] }}")), "unseen.grop"),

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Column, DataRow, Dataset, Error, Quantity, Result, Values};
+use abbe_core::{Column, DataRow, Dataset, Quantity, Result, Values};
 use abbe_estimation::repeated_in_words;
 use schemars::JsonSchema;
 use serde::Deserialize;

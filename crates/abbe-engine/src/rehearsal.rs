@@ -112,8 +112,10 @@ impl Prepared {
             let evidence: Vec<_> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
             self.located(stage, in_travel(&judged, &evidence))?;
             let said = self.findings(stage, &judged, &evidence).map(drop);
-            let is_made = |name: &String| self.recipe_stage(name).is_ok_and(|of| self.is_made_at_once(of));
-            let said = match stage.reference("of").iter().all(is_made) {
+            let is_known = |name: &String| {
+                self.saved.contains_key(name) || self.recipe_stage(name).is_ok_and(|of| self.is_made_at_once(of))
+            };
+            let said = match stage.reference("of").iter().all(is_known) {
                 true if checks => said,
                 _ => unless_by_value(said, checks),
             };

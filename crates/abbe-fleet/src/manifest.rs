@@ -239,8 +239,8 @@ impl Manifest {
     ///
     /// # Errors
     /// For what is no manifest, with what it seems to be and what to do; and for one of another version of this program.
-    pub fn read(path: &Path) -> Result<Self> {
-        let path = whole(path)?;
+    pub fn read(named: &Path) -> Result<Self> {
+        let path = whole(named)?;
         let file = abbe_files::open(&path).map_err(|error| {
             let message = format!("{} cannot be read: {}", path.display(), abbe_files::why(&error));
             Error::usage(message).help("`abbe fleet plan` writes it")
@@ -249,7 +249,7 @@ impl Manifest {
         let mut first = BufReader::new(file).take(LONGEST_HEAD);
         first.read_until(b'\n', &mut line).map_err(|error| unreadable(&path, &error))?;
         let Some(line) = str::from_utf8(&line).ok().filter(|line| has_format(line)) else {
-            return Err(mistaken::instead(&path));
+            return Err(mistaken::instead(named));
         };
         let head: Head = FORMAT.read(line).map_err(|error| error.in_file(&path))?;
         if head.version != VERSION {
