@@ -12,8 +12,8 @@ fn said(printed: &Printed) -> String {
 
 /// A recipe that a run refuses, and what it says of it.
 fn both_say(case: &str, at: &std::path::Path, words: &[&str], status: i32) {
-    let [check, run] = [&["check", "recipe.yaml"][..], &["run", "recipe.yaml", "--out", "out"]]
-        .map(|arguments| abbe(at, arguments));
+    let [check, run] =
+        [&["check", "recipe.yaml"][..], &["run", "recipe.yaml", "--out", "out"]].map(|arguments| abbe(at, arguments));
     for (command, printed) in [("check", &check), ("run", &run)] {
         let text = said(printed);
         for word in words {
@@ -63,14 +63,20 @@ fn names_of_runs_and_estimates_of_a_spindle_are_told_by_a_check() {
         let check = abbe(at, &["check", "recipe.yaml"]);
         let run = abbe(at, &["run", "recipe.yaml", "--out", "out"]);
         for word in words {
-            assert!(said(&check).contains(word) && said(&run).contains(word), "{word}: {} {}", said(&check), said(&run));
+            assert!(
+                said(&check).contains(word) && said(&run).contains(word),
+                "{word}: {} {}",
+                said(&check),
+                said(&run)
+            );
         }
         assert!(check.status == status && run.status != 0, "{setting}: {} {}", check.status, run.status);
     }
     let at = folder.path();
     let tools = Variant::of(&recipes()["tool-check-exact"]).set("before-the-cut", "tools", json!([1, 77]));
     std::fs::rename(tools.write(at), at.join("recipe.yaml")).expect("a recipe");
-    let [check, run] = [&["check", "recipe.yaml"][..], &["run", "recipe.yaml", "--out", "out"]].map(|all| abbe(at, all));
+    let [check, run] =
+        [&["check", "recipe.yaml"][..], &["run", "recipe.yaml", "--out", "out"]].map(|all| abbe(at, all));
     for printed in [&check, &run] {
         assert!(printed.status != 0 && said(printed).contains("77"), "{}", said(printed));
     }
@@ -84,6 +90,8 @@ fn a_missing_column_is_told_with_its_setting_its_line_and_its_file() {
     let rows = "nominal: data/facets.csv, standard_uncertainty_um: 1.6";
     let last = "  unseen:  { validate: hold-out, of: fine, rows: table, column: group, folds: [[2], [3]] }";
     assert!([touches, table, rows, last].iter().all(|text| SMALL.contains(text)));
+    let written = "  written: { export: error-table, of: fine, step_mm: 100, step_deg: 30 }\n";
+    assert!(SMALL.contains(written));
     let in_touches = |more: &str| SMALL.replace("path: data/touches.csv", &format!("path: data/touches.csv, {more}"));
     let judged = |stage: &str| SMALL.replace(last, stage);
     let balls = SMALL.replace(
@@ -94,7 +102,7 @@ fn a_missing_column_is_told_with_its_setting_its_line_and_its_file() {
     for (case, recipe, setting) in [
         ("hold-out", judged(&last.replace("column: group", "column: grop")), "column"),
         ("repeats", judged("  unseen: { validate: repeats, of: fine, by: grop }"), "by"),
-        ("per", SMALL.replace("    start: rough\n", "    per: grop\n"), "per"),
+        ("per", SMALL.replace("    start: rough\n", "    per: grop\n").replace(written, ""), "per"),
         ("centres", balls, "centres_by"),
         ("unseen rows", SMALL.replace(rows, &format!("{rows}, unseen: {{ grop: [1] }}")), "unseen.grop"),
         ("ignored rows", in_touches("ignore: { grop: [1] }"), "ignore.grop"),
@@ -107,7 +115,8 @@ fn a_missing_column_is_told_with_its_setting_its_line_and_its_file() {
         for command in [&["check", "recipe.yaml"][..], &["run", "recipe.yaml", "--out", "out"]] {
             let printed = small.abbe(command);
             let text = said(&printed);
-            for word in ["data/touches.csv", &format!("{setting}:"), &format!("recipe.yaml:{line}:"), lacking] {
+            let file = if case == "per" { "data/lengths.csv" } else { "data/touches.csv" };
+            for word in [file, &format!("{setting}:"), &format!("recipe.yaml:{line}:"), lacking] {
                 assert!(text.contains(word), "{case}: {command:?} does not say `{word}`: {text}");
             }
             assert_eq!(printed.status, 2, "{case}: {text}");
@@ -120,23 +129,23 @@ fn a_missing_column_is_told_with_its_setting_its_line_and_its_file() {
 fn a_missing_column_of_readings_is_told_with_its_setting() {
     let folder = temporary();
     let at = folder.path();
-    let spindle = |stage: &str, setting: &str, value| {
-        Variant::of(&recipes()["spindle-motion-exact"]).set(stage, setting, value)
-    };
-    let thermal = |stage: &str, setting: &str, value| {
-        Variant::of(&recipes()["thermal-spindle-exact"]).set(stage, setting, value)
-    };
+    let spindle =
+        |stage: &str, setting: &str, value| Variant::of(&recipes()["spindle-motion-exact"]).set(stage, setting, value);
+    let thermal =
+        |stage: &str, setting: &str, value| Variant::of(&recipes()["thermal-spindle-exact"]).set(stage, setting, value);
     let circle = |setting: &str, value| Variant::of(&recipes()["standards-ball-bar"]).set("figures", setting, value);
     for (recipe, words) in [
         (spindle("motion", "axial", json!("zz")), ["axial:", "motion-600.csv", "`zz_um`"]),
         (spindle("motion", "columns", json!({ "angle": "SS" })), ["columns.angle:", "motion-600.csv", "`SS_deg`"]),
         (spindle("motion", "columns", json!({ "run": "speeed" })), ["columns.run:", "motion-600.csv", "`speeed`"]),
-        (spindle("reversal", "radial", json!({ "r7": { "azimuth_deg": 0 } })), [
-            "radial.r7:",
-            "reversal-1.csv",
-            "`r7_um`",
-        ]),
-        (spindle("warm-up", "drift", json!(["drift_x", "drift_q"])), ["drift[1]:", "thermal-warmup.csv", "`drift_q_um`"]),
+        (
+            spindle("reversal", "radial", json!({ "r7": { "azimuth_deg": 0 } })),
+            ["radial.r7:", "reversal-1.csv", "`r7_um`"],
+        ),
+        (
+            spindle("warm-up", "drift", json!(["drift_x", "drift_q"])),
+            ["drift[1]:", "thermal-warmup.csv", "`drift_q_um`"],
+        ),
         (spindle("warm-up", "temperatures", json!(["T99"])), ["temperatures[0]:", "thermal-warmup.csv", "`T99_degC`"]),
         (thermal("spindle", "inputs", json!(["T34", "T99"])), ["inputs[1]:", "thermal-const.csv", "`T99`"]),
         (circle("angle", json!("angel")), ["angle:", "ballbar-xy-f500.csv", "`angel_deg`"]),
@@ -191,7 +200,10 @@ fn settings_that_nothing_reads_are_refused() {
     // What is stated here does not count, and nothing is ignored of a file that is not there.
     let small = Small::new();
     let stage = |more: &str| {
-        SMALL.replace("  judge:", &format!("  known: {{ estimate: stated, machine: machine, values: {stated}{more} }}\n  judge:"))
+        SMALL.replace(
+            "  judge:",
+            &format!("  known: {{ estimate: stated, machine: machine, values: {stated}{more} }}\n  judge:"),
+        )
     };
     small.write("recipe.yaml", &stage(", ignore: [\"EX*\"]"));
     let printed = small.abbe(&["check", "recipe.yaml"]);
@@ -213,7 +225,9 @@ fn settings_that_nothing_reads_are_refused() {
 fn a_factor_for_uncertainties_that_nobody_limits_is_refused() {
     let small = Small::new();
     let stage = |limit: &str| {
-        format!("{SMALL}  sure: {{ validate: uncertainty, of: fine, coverage_factor: 2, parameters: [{{ names: [EX0C], {limit}: 100 }}] }}\n")
+        format!(
+            "{SMALL}  sure: {{ validate: uncertainty, of: fine, coverage_factor: 2, parameters: [{{ names: [EX0C], {limit}: 100 }}] }}\n"
+        )
     };
     write(&small.path("recipe.yaml"), &stage("standard_uncertainty_um"));
     let printed = small.abbe(&["check", "recipe.yaml"]);

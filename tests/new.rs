@@ -348,7 +348,8 @@ fn long_chains_are_begun_or_refused() {
         (printed, rows)
     };
     let rotary = |count: usize| {
-        let names: Vec<String> = (0..count).map(|number| format!("{}{}", ["A", "B", "C"][number % 3], number / 3 + 1)).collect();
+        let names: Vec<String> =
+            (0..count).map(|number| format!("{}{}", ["A", "B", "C"][number % 3], number / 3 + 1)).collect();
         names.join(" ")
     };
     for (chain, method) in [
@@ -361,8 +362,7 @@ fn long_chains_are_begun_or_refused() {
         let says = printed.stderr.contains("12 axes at most") && printed.stderr.contains("leave out axes");
         assert!(printed.status == 2 && says && files == 0, "{chain}: {}{}", printed.stdout, printed.stderr);
     }
-    for (chain, method) in
-        [(format!("w b {} t", rotary(12)), "poses"), (format!("w b {} X Y Z t", rotary(4)), "table")]
+    for (chain, method) in [(format!("w b {} t", rotary(12)), "poses"), (format!("w b {} X Y Z t", rotary(4)), "table")]
     {
         let (printed, files) = begin(&chain, method);
         assert!(printed.status == 0 && files > 2, "{chain}: {}{}", printed.stdout, printed.stderr);

@@ -85,7 +85,10 @@ fn what_is_no_manifest_is_told() {
     assert!(json_file(&at.join("schema.json")).is_object());
     for (file, words) in [
         ("recipe.yaml", ["this is a recipe", "docs/fleets.md"]),
-        ("fleet.yaml", ["this is what a fleet is planned from", "`abbe fleet plan fleet.yaml` writes fleet.manifest.jsonl"]),
+        (
+            "fleet.yaml",
+            ["this is what a fleet is planned from", "`abbe fleet plan fleet.yaml` writes fleet.manifest.jsonl"],
+        ),
         ("machines.csv", ["this is no manifest", "plan the fleet"]),
         ("notes.txt", ["this is no manifest", "plan the fleet"]),
         ("picture.png", ["this is no manifest", "plan the fleet"]),
@@ -99,7 +102,9 @@ fn what_is_no_manifest_is_told() {
             let printed = quiet(at, &arguments);
             assert_eq!(printed.status, 2, "{arguments:?}: {}{}", printed.stdout, printed.stderr);
             let text = printed.stderr.replace('│', " ").split_whitespace().collect::<Vec<_>>().join(" ");
-            for word in words.iter().chain(&[file, "a manifest was expected, which `abbe fleet plan FLEET.yaml` writes"]) {
+            for word in
+                words.iter().chain(&[file, "a manifest was expected, which `abbe fleet plan FLEET.yaml` writes"])
+            {
                 assert!(text.contains(word), "{arguments:?}: {word}: {text}");
             }
         }

@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use abbe_core::{
-    Calibration, ColumnHeader, DataRecord, Dataset, Error, EstimateSource, Fit, Kind, KinematicModel, Model, Quantities, Result,
+    Calibration, ColumnHeader, DataRecord, Dataset, Error, EstimateSource, Fit, Kind, KinematicModel, Model,
+    Quantities, Result,
 };
 use abbe_recipe::Stage;
 

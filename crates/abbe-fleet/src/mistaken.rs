@@ -20,7 +20,10 @@ pub fn instead(path: &Path) -> Error {
     if has("abbe_fleet") {
         let (fleet, manifest) = (path.display().to_string(), Manifest::beside(path).display().to_string());
         let (fleet, manifest) = (harmless(&fleet), harmless(&manifest));
-        return wrong("this is what a fleet is planned from", format!("`abbe fleet plan {fleet}` writes {manifest}: name that"));
+        return wrong(
+            "this is what a fleet is planned from",
+            format!("`abbe fleet plan {fleet}` writes {manifest}: name that"),
+        );
     }
     if has("stages") {
         let help = "write a file that names the recipe and what is done with it, as docs/fleets.md shows, and plan it";

@@ -80,7 +80,10 @@ pub fn may_take(path: &Path, head: &Head) -> Result<()> {
         return refused("something is there already that is no manifest of a fleet".to_owned());
     };
     if whose.fleet != head.fleet {
-        return refused(format!("the manifest of another fleet is there: that of `{}`, not of `{}`", whose.fleet, head.fleet));
+        return refused(format!(
+            "the manifest of another fleet is there: that of `{}`, not of `{}`",
+            whose.fleet, head.fleet
+        ));
     }
     if whose.base != head.base {
         let message = "the manifest of another fleet of this name is there: its paths start in";

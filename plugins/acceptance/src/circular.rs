@@ -118,7 +118,8 @@ fn build(settings: Circular, _: &Context) -> Result<Box<dyn Validate>, SettingsE
     }
     for (setting, column) in [("angle", &settings.angle), ("reading", &settings.reading)] {
         if column.is_some() && settings.scanned.is_some() {
-            let message = "angles and readings follow from the positions of the scanned points, so that this column is not read";
+            let message =
+                "angles and readings follow from the positions of the scanned points, so that this column is not read";
             return Err(SettingsError::new(setting, message).help(format!("leave out `{setting}`, or `scanned`")));
         }
     }

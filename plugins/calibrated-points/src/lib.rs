@@ -14,9 +14,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, InputFile, KinematicModel, Layout, ListedBy,
-    Observations, ObservationsInfo, Parameter, Quantity, Result, RowBatch, RowIndex, SettingsError, Target, Unit,
-    not_negative, plain_naming, pose_columns, positive,
+    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, InputFile, KinematicModel, Layout,
+    ListedBy, Observations, ObservationsInfo, Parameter, Quantity, Result, RowBatch, RowIndex, SettingsError, Target,
+    Unit, not_negative, plain_naming, pose_columns, positive,
 };
 use abbe_dcc::CertificateFile;
 use nalgebra::Vector3;

@@ -1,8 +1,8 @@
 //! Estimator plugin `spindle-warm-up`: drift of a spindle while it warms up, and how it follows temperatures.
 
 use abbe_core::{
-    Calibration, ColumnHeader, Context, DataRow, Dataset, Error, Estimate, EstimateSource, Identifiability, PathItem, Problem,
-    Quantity, Result, SettingsError, positive,
+    Calibration, ColumnHeader, Context, DataRow, Dataset, Error, Estimate, EstimateSource, Identifiability, PathItem,
+    Problem, Quantity, Result, SettingsError, positive,
 };
 use abbe_standards::thermal_drift::{range, slope_at_end, time_to_part};
 use abbe_thermal::{Fitted, Hold, Output, Reference, SensorLog, Structure, exchanged, is_dead, stuck_part};
@@ -293,10 +293,8 @@ impl Estimate for WarmUp {
     fn check_readings(&self, headers: &[Vec<ColumnHeader>]) -> Result<()> {
         for (place, headers) in headers.iter().enumerate() {
             check_column(place, headers, &self.time, Quantity::Time).map_err(|error| error.setting("time"))?;
-            let listed = [
-                ("drift", &self.drift, Quantity::Length),
-                ("temperatures", &self.temperatures, Quantity::Temperature),
-            ];
+            let listed =
+                [("drift", &self.drift, Quantity::Length), ("temperatures", &self.temperatures, Quantity::Temperature)];
             for (setting, names, quantity) in listed {
                 for (index, name) in names.iter().enumerate() {
                     check_column(place, headers, name, quantity).map_err(|error| {

@@ -255,7 +255,7 @@ mod tests {
             "by: the column `group` has 1 label; two repeats or more were expected"
         );
         let column = of(&json!({ "by": "grop" }));
-        assert!(column.starts_with("by: there is no column `grop`"), "{column}");
+        assert!(column.starts_with("by: touches.csv: there is no column `grop`"), "{column}");
         assert_eq!(
             of(&json!({ "by": "group", "parameters": ["EXX*"] })),
             "parameters[0]: `EXX*` matches nothing that fit estimates"
