@@ -7,6 +7,7 @@ mod batches;
 mod bodies;
 mod bounds;
 mod calibrations;
+mod checked;
 mod circles;
 mod cmm;
 mod columnar;

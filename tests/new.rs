@@ -336,3 +336,35 @@ fn a_beginning_ends_in_its_time() {
     assert!(printed.status == 1 && printed.stderr.contains("time limit"), "{} {}", printed.status, printed.stderr);
     assert!(!folder.path().join("begun").exists());
 }
+
+/// Chains that nobody builds are refused before anything is tried, and long ones have fewer positions of each axis.
+#[test]
+fn long_chains_are_begun_or_refused() {
+    let folder = temporary();
+    let begin = |chain: &str, method: &str| {
+        let printed = abbe(folder.path(), &["new", "begun", "--chain", chain, "--method", method]);
+        let rows = std::fs::read_dir(folder.path().join("begun")).map_or(0, |files| files.count());
+        let _ = std::fs::remove_dir_all(folder.path().join("begun"));
+        (printed, rows)
+    };
+    let rotary = |count: usize| {
+        let names: Vec<String> =
+            (0..count).map(|number| format!("{}{}", ["A", "B", "C"][number % 3], number / 3 + 1)).collect();
+        names.join(" ")
+    };
+    for (chain, method) in [
+        (format!("w b {} t", rotary(14)), "poses"),
+        (format!("w b {} X Y Z t", rotary(14)), "table"),
+        (format!("w b {} X Y Z t", rotary(10)), "balls"),
+        (format!("w b {} X Y Z t", rotary(200)), "ball-bar"),
+    ] {
+        let (printed, files) = begin(&chain, method);
+        let says = printed.stderr.contains("12 axes at most") && printed.stderr.contains("leave out axes");
+        assert!(printed.status == 2 && says && files == 0, "{chain}: {}{}", printed.stdout, printed.stderr);
+    }
+    for (chain, method) in [(format!("w b {} t", rotary(12)), "poses"), (format!("w b {} X Y Z t", rotary(4)), "table")]
+    {
+        let (printed, files) = begin(&chain, method);
+        assert!(printed.status == 0 && files > 2, "{chain}: {}{}", printed.stdout, printed.stderr);
+    }
+}

@@ -1,5 +1,6 @@
 //! Corrected NC programs: what an interpreter that shares no code with the corrector, and a virtual machine with errors, make of them.
 
+mod empty;
 pub mod grammar;
 pub mod interpreter;
 mod klartext;

@@ -174,3 +174,24 @@ fn a_link_to_what_is_expected_stays_one() {
     assert!(small.path("recipe.expected").is_symlink());
     assert!(small.read("elsewhere/expected").contains("estimate fine"));
 }
+
+/// A recipe that is named and is not there is wrong use, as of any other command, and nothing is run before it is told.
+#[test]
+fn a_recipe_that_is_not_there_is_wrong_use() {
+    let small = Small::new();
+    for arguments in [
+        &["test", "none.yaml"][..],
+        &["test", "recipe.yaml", "none.yaml", "--accept"],
+        &["test", ".", "none.yaml", "--accept", "--junit", "test.xml"],
+        &["test", "recipe.yaml/none.yaml"],
+    ] {
+        let printed = small.abbe(arguments);
+        let says = printed.stderr.contains("none.yaml") && printed.stderr.contains("name recipes, or a folder");
+        assert!(printed.status == 2 && says, "{arguments:?}: {}{}", printed.stdout, printed.stderr);
+        assert!(!small.path("recipe.expected").exists() && !small.path("test.xml").exists(), "{arguments:?}");
+    }
+    assert_eq!(small.abbe(&["check", "none.yaml"]).status, 2);
+    // One that is there and cannot be used is a recipe that failed.
+    small.write("broken.yaml", "abbe: 1\nstages: {\n");
+    assert_eq!(small.abbe(&["test", "broken.yaml"]).status, 1);
+}

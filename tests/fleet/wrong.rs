@@ -226,7 +226,7 @@ fn mistakes_in_a_fleet_have_their_places() {
     });
     for (case, arguments, status) in [
         ("no manifest", &["fleet", "run", "none.jsonl"][..], 2),
-        ("another file", &["fleet", "status", "recipe.yaml"], 1),
+        ("another file", &["fleet", "status", "recipe.yaml"], 2),
         ("a plugin", &["fleet", "run", "fleet.manifest.jsonl", "--plugin", "a.so"], 2),
     ] {
         assert_eq!(quiet(at, arguments).status, status, "{case}");
@@ -264,14 +264,14 @@ fn files_of_others_stay() {
     for file in ["recipe.yaml", "fleet.yaml", "machines.csv"] {
         let before = read(&at.join(file));
         let printed = quiet(at, &["fleet", "plan", "fleet.yaml", "--out", file]);
-        assert!(printed.status == 1 && printed.stderr.contains("no manifest"), "{file}: {}", printed.stderr);
+        assert!(printed.status == 2 && printed.stderr.contains("no manifest"), "{file}: {}", printed.stderr);
         assert_eq!(read(&at.join(file)), before);
     }
     #[cfg(unix)]
     {
         let link = at.join("fleet.manifest.jsonl");
         std::os::unix::fs::symlink("recipe.yaml", &link).expect("a link");
-        assert_eq!(quiet(at, &["fleet", "plan", "fleet.yaml"]).status, 1);
+        assert_eq!(quiet(at, &["fleet", "plan", "fleet.yaml"]).status, 2);
         assert_eq!(read(&at.join("recipe.yaml")), recipe);
         fs::remove_file(&link).expect("it goes");
     }

@@ -311,9 +311,9 @@ pub fn emptied(data: Dataset) -> Dataset {
     Dataset { columns, origins: Vec::new(), ..data }
 }
 
-/// The error at a place of the settings instead of a file: the statement of the recipe about the file is wrong.
+/// The error at a place of the settings: the statement of the recipe about the file is wrong.
 fn in_settings(error: Error, setting: &str, key: &str) -> Error {
-    Error { place: None, setting: [setting, key].map(|key| PathItem::Key(key.to_owned())).into(), ..error }
+    error.setting_at(&[setting, key])
 }
 
 /// Appends the rows of one file, which must have the same columns in any order.
@@ -373,8 +373,10 @@ fn add_file_column(data: &mut Dataset) -> Result<bool> {
 /// Adds the columns of a table, by the label that each row has in the column `on`; `by_file`: the label is the name of
 /// its file, which the table may write with the extension.
 fn join(data: &mut Dataset, table: &Dataset, on: &str, by_file: bool) -> Result<()> {
+    let lacks = |error: Error| in_settings(error, "join", "on");
+    let labels = abbe_table::labels(data, on).map_err(lacks)?;
+    abbe_table::labels(table, on).map_err(lacks)?;
     let keys = abbe_table::unique_labels(table, on)?;
-    let labels = abbe_table::labels(data, on).map_err(|error| in_settings(error, "join", "on"))?;
     let path = table.files.first().map(PathBuf::as_path).unwrap_or(Path::new(""));
     let mut rows = Vec::new();
     for (row, (label, origin)) in DataRow::enumerate(labels.iter().zip(&data.origins)) {

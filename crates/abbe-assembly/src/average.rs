@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Column, DataRow, Dataset, Error, PathItem, Quantity, Result, Values};
+use abbe_core::{Column, DataRow, Dataset, Quantity, Result, Values};
 use abbe_estimation::repeated_in_words;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -29,11 +29,7 @@ impl Average {
     /// One row for every group of rows, in the order of the first of each: the means of all numbers.
     pub fn of(&self, data: &Dataset) -> Result<Dataset> {
         let labels = |setting: &str, name: &str| {
-            abbe_table::labels(data, name).map_err(|error| Error {
-                place: None,
-                setting: ["average", setting].map(|key| PathItem::Key(key.to_owned())).into(),
-                ..error
-            })
+            abbe_table::labels(data, name).map_err(|error| error.setting_at(&["average", setting]))
         };
         let series = labels("over", &self.over)?;
         let by = self.by.iter().map(|name| labels("by", name)).collect::<Result<Vec<_>>>()?;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, PathItem, Quantity, Result, Values};
+use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Quantity, Result, Values};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -43,11 +43,7 @@ impl Motion {
     ///
     /// Fails for columns that are missing or there already, and where times do not grow along a run.
     pub fn add(&self, data: &mut Dataset) -> Result<Vec<bool>> {
-        let wrong = |error: Error, key: &str| Error {
-            place: None,
-            setting: ["motion", key].map(|key| PathItem::Key(key.to_owned())).into(),
-            ..error
-        };
+        let wrong = |error: Error, key: &str| error.setting_at(&["motion", key]);
         if self.axes.is_empty() {
             return Err(wrong(Error::usage("at least one axis was expected").help("write `axes: [X, Y]`"), "axes"));
         }

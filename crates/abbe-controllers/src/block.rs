@@ -58,6 +58,8 @@ pub(crate) struct Reader<'a> {
     /// Whether a corrected program is read.
     reads_corrected: bool,
     has_ended: bool,
+    /// Whether there was a block: comments, empty lines and what frames a program are none.
+    pub(crate) has_block: bool,
     /// Whether the mark of a corrected program was seen, and its text.
     pub(crate) mark: Option<String>,
     pub(crate) klartext: Option<crate::klartext::Program>,
@@ -72,7 +74,7 @@ impl<'a> Reader<'a> {
     ) -> Self {
         let klartext = (options.dialect == Dialect::Heidenhain).then(crate::klartext::Program::default);
         let modal = Modal::new(machine, options);
-        Self { modal, options, build, reads_corrected, has_ended: false, mark: None, klartext }
+        Self { modal, options, build, reads_corrected, has_ended: false, has_block: false, mark: None, klartext }
     }
 
     /// Understands a line; its end of line is not part of it.
@@ -99,6 +101,7 @@ impl<'a> Reader<'a> {
         if line.is_frame {
             return Ok(Action::Copy(None));
         }
+        self.has_block |= !line.words.is_empty();
         if self.is_left_out(line.optional)? {
             return Ok(Action::Copy(None));
         }

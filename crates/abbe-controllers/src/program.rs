@@ -50,7 +50,8 @@ const TOGETHER: usize = 128;
 /// Corrects a program: reads `source` to its end and writes the corrected text to `out`. `build` gives the machine with a tool of a
 /// length, that of the calibration without one.
 ///
-/// Fails with line and column at the first thing that cannot be corrected; what was written until then is of no use.
+/// Fails with line and column at the first thing that cannot be corrected, and for a program without a block; what was written until
+/// then is of no use.
 pub fn compensate(
     source: &mut dyn BufRead,
     out: &mut dyn Write,
@@ -108,6 +109,10 @@ pub(crate) fn run(
         run.line(line, count)?;
     }
     run.flush()?;
+    if !run.reader.has_block {
+        let error = Error::data("the program has no block: there is nothing to correct").in_file(&options.file);
+        return Err(error.help("is this the file with the program, and is it whole?"));
+    }
     run.summary.lines = count;
     run.summary.assumed.clone_from(&run.reader.modal.assumed);
     Ok(run.summary)

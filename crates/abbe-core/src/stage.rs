@@ -149,6 +149,12 @@ pub trait Estimate: Send + Sync {
         Err(Error::usage("this estimator solves problems of a machine; it takes no readings by `from`").setting("from"))
     }
 
+    /// Whether [`estimate_readings`](Self::estimate_readings) needs no iteration: then a check makes the estimate, too, and asks
+    /// validators and exporters of it.
+    fn estimates_readings_at_once(&self) -> bool {
+        false
+    }
+
     /// Solves the problem. For stated machine parameters ([`EstimateSource::Statement`](crate::EstimateSource::Statement)) the
     /// problem has no rows.
     fn estimate(&self, problem: &Problem) -> Result<Calibration>;
@@ -228,6 +234,11 @@ pub trait Validate: Send + Sync {
 
     /// The observations that its settings name: (setting, stage).
     fn observations(&self) -> Vec<(&'static str, String)> {
+        Vec::new()
+    }
+
+    /// The estimates under `of` that its settings name: (setting, stage).
+    fn estimates(&self) -> Vec<(&'static str, String)> {
         Vec::new()
     }
 

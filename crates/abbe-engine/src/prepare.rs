@@ -268,6 +268,13 @@ impl Prepared {
                     }
                     self.check_columns(estimate, others)?;
                 }
+                for (setting, name) in self.validators[&stage.name].estimates() {
+                    let of = stage.reference("of");
+                    if !of.contains(&name) {
+                        let error = Error::usage(format!("`{name}` is not among the estimates under `of`"));
+                        return Err(error.setting(setting).suggest(&name, of.iter().map(String::as_str)));
+                    }
+                }
                 for (setting, name) in self.validators[&stage.name].observations() {
                     for fit in stage.reference("of") {
                         let observed = self.own_estimate(fit)?.reference("observations");

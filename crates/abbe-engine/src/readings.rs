@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use abbe_core::{
-    Calibration, DataRecord, Dataset, Error, EstimateSource, Fit, Kind, KinematicModel, Model, Quantities, Result,
+    Calibration, ColumnHeader, DataRecord, Dataset, Error, EstimateSource, Fit, Kind, KinematicModel, Model,
+    Quantities, Result,
 };
 use abbe_recipe::Stage;
 
@@ -46,8 +47,21 @@ pub(crate) fn rows(stage: &Stage, data: &Datasets, digests: &Digests) -> Vec<Dat
 impl Prepared {
     /// Fails if its data do not have the columns that it needs.
     pub(crate) fn check_readings(&self, stage: &Stage) -> Result<()> {
-        let headers = stage.reference("from").iter().map(|ingest| self.headers(ingest));
-        self.estimators[&stage.name].check_readings(&headers.collect::<Result<Vec<_>>>()?)
+        let (estimator, from) = (&self.estimators[&stage.name], stage.reference("from"));
+        let headers = from.iter().map(|ingest| self.headers(ingest)).collect::<Result<Vec<_>>>()?;
+        estimator.check_readings(&headers).map_err(|error| {
+            // Of several data sets the first one that is refused in the place of all others, too.
+            let is_refused = |own: &&Vec<ColumnHeader>| {
+                let alike = vec![(*own).clone(); headers.len()];
+                estimator.check_readings(&alike).is_err_and(|alone| alone.setting == error.setting)
+            };
+            let ingest = headers.iter().position(|own| is_refused(&own)).map(|place| &from[place]);
+            let file = ingest.and_then(|ingest| Some(self.ingests[ingest].inputs().first()?.path.clone()));
+            match file.filter(|_| error.place.is_none() && !error.setting.is_empty()) {
+                Some(file) => error.in_file(&file),
+                None => error,
+            }
+        })
     }
 
     /// Fails if a validator or an exporter that needs a machine is given an estimate without one.

@@ -2,7 +2,8 @@
 //! not there does not cost a long run.
 //!
 //! They get estimates of the nominal machine with the uncertainties that are to be expected, and an estimator that solves nothing.
-//! What they find means nothing and is forgotten; what they refuse because of a setting stands.
+//! What they find means nothing and is forgotten; what they refuse because of a setting stands. A check also makes the estimates of
+//! readings that need no iteration, so that what is said of them is what a run says.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -18,6 +19,7 @@ use crate::batches::InBatches;
 use crate::groups::{GroupProblem, is_of};
 use crate::prediction::{Predicted, prediction_fit};
 use crate::prepare::Prepared;
+use crate::readings::has_readings;
 use crate::run::{Datasets, has_rows, named};
 use crate::saved::fit_without_rows;
 use crate::travel::in_travel;
@@ -69,11 +71,12 @@ impl Estimate for Unsolved {
 
 impl Prepared {
     /// Asks validators and exporters for what they would say of the estimates that are to be expected; `found` is what these
-    /// determine, as far as that is known. Plugins of libraries are asked if `libraries` says so. Fails with the first setting that
-    /// is refused.
+    /// determine, as far as that is known. Fails with the first setting that is refused.
+    ///
+    /// A check (`checks`) also asks plugins of libraries, and stands by what validators say of rows: a run goes on without them.
     pub(crate) fn rehearse(
         &self,
-        libraries: bool,
+        checks: bool,
         (problems, groups, batches): (&BTreeMap<String, Problem>, &BTreeMap<String, Vec<GroupProblem>>, &InBatches<'_>),
         found: &BTreeMap<String, Identifiability>,
         unseen: &Predicted,
@@ -83,6 +86,7 @@ impl Prepared {
         for stage in self.stages(Kind::Estimate) {
             match groups.get(&stage.name) {
                 Some(groups) => fits.extend(groups.iter().map(expected_of_group)),
+                None if checks && self.is_made_at_once(stage) => fits.push(self.of_readings(stage, data)?),
                 None => {
                     let problem = problems.get(&stage.name).or_else(|| batches.problem(&stage.name));
                     fits.extend(self.expected(stage, problem, found, &fits)?);
@@ -92,7 +96,7 @@ impl Prepared {
         let is_asked = |stage: &Stage| {
             let mut plugins = self.plugins.iter();
             let plugin = plugins.find(|plugin| plugin.kind == stage.kind && plugin.name == stage.plugin);
-            libraries || plugin.is_none_or(|plugin| plugin.sha256.is_none())
+            checks || plugin.is_none_or(|plugin| plugin.sha256.is_none())
         };
         let has_all = |stage: &Stage| stage.reference("of").iter().all(|name| fits.iter().any(|fit| is_of(fit, name)));
         for stage in self.stages(Kind::Validate).filter(|stage| has_all(stage) && is_asked(stage)) {
@@ -108,15 +112,27 @@ impl Prepared {
             let evidence: Vec<_> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
             self.located(stage, in_travel(&judged, &evidence))?;
             let said = self.findings(stage, &judged, &evidence).map(drop);
-            self.located(stage, unless_by_value(said))?;
+            let is_known = |name: &String| {
+                self.saved.contains_key(name) || self.recipe_stage(name).is_ok_and(|of| self.is_made_at_once(of))
+            };
+            let said = match stage.reference("of").iter().all(is_known) {
+                true if checks => said,
+                _ => unless_by_value(said, checks),
+            };
+            self.located(stage, said)?;
         }
         for stage in self.stages(Kind::Export).filter(|stage| is_asked(stage)) {
             for fit in named(stage.reference("of"), &fits) {
                 let said = self.exporters[&stage.name].export(&fit.calibration, fit.problem.model.as_ref()).map(drop);
-                self.located(stage, unless_by_value(said))?;
+                self.located(stage, unless_by_value(said, false))?;
             }
         }
         Ok(())
+    }
+
+    /// Whether a check makes this estimate.
+    fn is_made_at_once(&self, stage: &Stage) -> bool {
+        has_readings(stage) && self.estimators.get(&stage.name).is_some_and(|own| own.estimates_readings_at_once())
     }
 
     /// The estimate that is to be expected of a stage; none where nothing can be said before.
@@ -170,11 +186,15 @@ fn expected_of_group(group: &GroupProblem) -> Fit {
     Fit { name: group.name.clone(), problem, estimator: Arc::new(estimator), calibration }
 }
 
-/// What is wrong with a setting stands; what is wrong with values that nobody has estimated does not, nor does what another
-/// process could not do with them.
-fn unless_by_value(said: Result<()>) -> Result<()> {
+/// What is wrong with a setting stands, and what is wrong with the rows that a setting names if `by_rows` says so; what is wrong with
+/// values that nobody has estimated does not, nor does what another process could not do with them.
+fn unless_by_value(said: Result<()>, by_rows: bool) -> Result<()> {
     said.or_else(|error: Error| {
-        let of_setting = error.class == Class::Interrupted || (error.class == Class::Use && !error.fatal);
-        if of_setting { Err(error) } else { Ok(()) }
+        let stands = match error.class {
+            Class::Interrupted => true,
+            Class::Use => !error.fatal,
+            Class::Data => by_rows && !error.fatal && !error.setting.is_empty(),
+        };
+        if stands { Err(error) } else { Ok(()) }
     })
 }

@@ -87,11 +87,8 @@ impl ArtefactRowSettings {
         let mut unseen = vec![false; layout.rows.len()];
         for (column, listed) in &self.settings.unseen {
             let setting = ["unseen", column].map(|key| PathItem::Key(key.to_owned()));
-            let labels = abbe_table::labels(&layout.data, column).map_err(|error| Error {
-                place: None,
-                setting: setting.to_vec(),
-                ..error
-            })?;
+            let labels = abbe_table::labels(&layout.data, column);
+            let labels = labels.map_err(|error| Error { setting: setting.to_vec(), ..error })?;
             let label_of = |row: &Row| row.data_row.map(|data_row| labels[data_row].as_str());
             for (index, label) in listed.iter().enumerate() {
                 let mut found = false;

@@ -13,6 +13,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::hash::{is_sha256, sha256};
+use crate::mistaken;
+use crate::seal::{self, LONGEST_HEAD, Sealed, may_take};
 use crate::store::{RESULT_FORMAT, Store};
 use crate::text::Variables;
 use crate::{unreadable, unwritable};
@@ -50,6 +52,9 @@ pub struct Head {
     /// For estimates in shards the values, by name, at which their shards are asked in this round; none at the start.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub points: BTreeMap<String, Point>,
+    /// Hash of the whole manifest with zeros in the place of these digits; none in manifests of earlier programs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sha256: Option<String>,
 }
 
 /// Values of unknowns by their names, mm, rad and their powers.
@@ -203,26 +208,26 @@ impl Manifest {
         fleet.with_file_name(format!("{stem}{ENDING}"))
     }
 
-    /// Writes a manifest, whole or not at all, where there is nothing or another manifest.
+    /// Writes a manifest, whole or not at all, where there is nothing or an earlier manifest of the same fleet.
     ///
     /// # Errors
-    /// If something else is there, and if the disk does not take it.
-    pub fn write(path: &Path, head: Head, jobs: &[Job]) -> Result<Self> {
+    /// If something else is there, a manifest of another fleet, or one that was changed by hand; and if the disk does not take it.
+    pub fn write(path: &Path, mut head: Head, jobs: &[Job]) -> Result<Self> {
         let failed = |error: &io::Error| unwritable(path, error);
-        is_free(path)?;
+        may_take(path, &head)?;
         let path = whole(path)?;
         let folder = path.parent().unwrap_or(Path::new("/"));
+        head.sha256 = Some(seal::unknown());
         let written = (|| -> io::Result<()> {
             let mut file = temporary_file(folder)?;
-            let mut writer = BufWriter::new(file.as_file_mut());
+            let mut writer = BufWriter::new(Sealed::begun(file.as_file_mut()));
             serde_json::to_writer(&mut writer, &head)?;
             for job in jobs {
                 writer.write_all(b"\n")?;
                 serde_json::to_writer(&mut writer, job)?;
             }
             writer.write_all(b"\n")?;
-            writer.flush()?;
-            drop(writer);
+            writer.into_inner().map_err(io::IntoInnerError::into_error)?.close(&mut head)?;
             file.as_file().sync_all()?;
             file.persist(&path).map(drop).map_err(|error| error.error)
         })();
@@ -233,16 +238,20 @@ impl Manifest {
     /// Reads the first line.
     ///
     /// # Errors
-    /// For what is no manifest, and for one of another version of this program.
-    pub fn read(path: &Path) -> Result<Self> {
-        let path = whole(path)?;
+    /// For what is no manifest, with what it seems to be and what to do; and for one of another version of this program.
+    pub fn read(named: &Path) -> Result<Self> {
+        let path = whole(named)?;
         let file = abbe_files::open(&path).map_err(|error| {
             let message = format!("{} cannot be read: {}", path.display(), abbe_files::why(&error));
             Error::usage(message).help("`abbe fleet plan` writes it")
         })?;
-        let mut line = String::new();
-        BufReader::new(file).read_line(&mut line).map_err(|error| unreadable(&path, &error))?;
-        let head: Head = FORMAT.read(&line).map_err(|error| error.in_file(&path))?;
+        let mut line = Vec::new();
+        let mut first = BufReader::new(file).take(LONGEST_HEAD);
+        first.read_until(b'\n', &mut line).map_err(|error| unreadable(&path, &error))?;
+        let Some(line) = str::from_utf8(&line).ok().filter(|line| has_format(line)) else {
+            return Err(mistaken::instead(named));
+        };
+        let head: Head = FORMAT.read(line).map_err(|error| error.in_file(&path))?;
         if head.version != VERSION {
             let message = format!("it was planned by version {} of this program, which is {VERSION}", head.version);
             return Err(Error::usage(message).help("plan it again: `abbe fleet plan`").in_file(&path));
@@ -305,25 +314,11 @@ impl Manifest {
     }
 }
 
-/// Fails if something is at a place that is no manifest.
-fn is_free(path: &Path) -> Result<()> {
-    let is_manifest = || {
-        let mut line = Vec::new();
-        let file = abbe_files::open(path).ok()?;
-        BufReader::new(file).take(LONGEST_HEAD).read_until(b'\n', &mut line).ok()?;
-        let head: Value = serde_json::from_slice(&line).ok()?;
-        head.get(FORMAT.key).map(drop)
-    };
-    let nothing = path.symlink_metadata().is_err();
-    if nothing || (!path.is_symlink() && is_manifest().is_some()) {
-        return Ok(());
-    }
-    let error = Error::data("something is there already that is no manifest of a fleet").in_file(path);
-    Err(error.help("move it away, or name another file: `--out`"))
+/// Whether a first line is that of a manifest, maybe of another version or broken.
+fn has_format(line: &str) -> bool {
+    serde_json::from_str::<Value>(line).is_ok_and(|head| head.get(FORMAT.key).is_some())
+        || (line.starts_with('{') && line.contains(FORMAT.key))
 }
-
-/// Bytes of the longest first line: points of shards have a number for each unknown.
-const LONGEST_HEAD: u64 = 64 << 20;
 
 /// The whole path of a file, which may not be there yet.
 fn whole(path: &Path) -> Result<PathBuf> {

@@ -51,6 +51,7 @@ pub fn plan(fleet: &Fleet, path: &Path, registries: &Registries<'_>) -> Result<(
         history: fleet.history.clone(),
         families: fleet.families.iter().map(family).collect(),
         points: BTreeMap::new(),
+        sha256: None,
     };
     let mut manifest = Manifest::write(path, head, &jobs)?;
     // Rounds of shards that are done already are not done again.

@@ -8,6 +8,7 @@
 mod document;
 mod graph;
 mod libraries;
+mod located;
 mod machine_file;
 mod page;
 mod place;
@@ -22,7 +23,7 @@ mod ties;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use abbe_core::{Error, EstimateSource, Kind, PathItem, Plugin, Registry, SettingsError, nearest, path_text};
+use abbe_core::{Error, EstimateSource, Kind, PathItem, Plugin, Registry, SettingsError, nearest};
 use abbe_planning::Planning;
 use serde_json::{Map, Value};
 
@@ -199,77 +200,6 @@ impl Recipe {
             }
         }
         Ok(Some(plan))
-    }
-
-    /// Gives an error about a setting under `plan` its place, unless it has one or is about a stage.
-    pub fn locate_plan(&self, error: Error) -> Error {
-        if error.place.is_some() || error.stage.is_some() {
-            return self.locate(error);
-        }
-        let path = [&[PathItem::Key(PLAN.to_owned())], error.setting.as_slice()].concat();
-        self.document.locate(error, &path, At::Value)
-    }
-
-    fn plan_error(&self, error: SettingsError) -> Error {
-        let at = if error.key { At::Key } else { At::Value };
-        let path = [&[PathItem::Key(PLAN.to_owned())], error.path.as_slice()].concat();
-        let mut located = self.document.locate(Error::usage(error.message), &path, at);
-        located.help = error.help;
-        located
-    }
-
-    /// Gives an error about a stage (and a setting) its file, line and column, unless it has a place.
-    pub fn locate(&self, error: Error) -> Error {
-        match (&error.place, error.stage.clone()) {
-            (None, Some(stage)) => {
-                let setting = error.setting.clone();
-                self.place(error, &stage, &setting, At::Value)
-            }
-            _ => error,
-        }
-    }
-
-    /// What a plugin says about the settings of a stage, with its place: the wrong key, the wrong value or, if a
-    /// setting is missing, the name of the stage.
-    pub fn settings_error(&self, stage: &str, error: SettingsError) -> Error {
-        let at = if error.key { At::Key } else { At::Value };
-        let message = match path_text(&error.path) {
-            name if error.key || name.is_empty() => error.message.clone(),
-            name => format!("{name}: {}", error.message),
-        };
-        let mut located = self.place(Error::usage(message).stage(stage), stage, &error.path, at);
-        let is_missing = error.message.starts_with("the setting `") && error.message.ends_with("` is missing");
-        let listed = "`abbe plugins --json` shows the settings of every plugin, with an example";
-        located.help =
-            self.reference_near(stage, &error).or(error.help).or_else(|| is_missing.then(|| listed.to_owned()));
-        located.setting = error.path;
-        located.class = error.class;
-        located
-    }
-
-    /// A similar key among those that are not passed on to the plugin, which the plugin therefore cannot suggest.
-    fn reference_near(&self, stage: &str, error: &SettingsError) -> Option<String> {
-        let ([PathItem::Key(key)], true) = (error.path.as_slice(), error.key) else { return None };
-        let near = nearest(key, self.reserved_keys.get(stage)?.iter().copied())?;
-        Some(format!("did you mean `{near}`?"))
-    }
-
-    fn place(&self, error: Error, stage: &str, setting: &[PathItem], at: At) -> Error {
-        let Some(origin) = self.origins.get(stage) else { return error.in_file(&self.path) };
-        if let Some((path, rest)) = origin.expanded(setting) {
-            return self.document.locate(error, &[path, rest].concat(), at);
-        }
-        let path = [&[PathItem::Key("stages".to_owned()), PathItem::Key(stage.to_owned())], setting].concat();
-        let known = self.document.known(&path);
-        // A map of the recipe is merged with that of the file; anything else, and all in a list, replaces the file's.
-        let merged = known < path.len()
-            && path[..known].iter().all(|item| matches!(item, PathItem::Key(_)))
-            && self.document.get(&path[..known]).is_some_and(Value::is_object);
-        match &origin.file {
-            Some(file) if merged && file.known(setting) + 2 > known => file.locate(error, setting, at),
-            _ if known <= 2 => self.document.locate(error, &path[..2], At::Key),
-            _ => self.document.locate(error, &path, at),
-        }
     }
 }
 

@@ -187,6 +187,12 @@ impl Error {
         self
     }
 
+    /// Names the setting that causes the error, by the keys that lead to it.
+    pub fn setting_at(mut self, keys: &[&str]) -> Self {
+        self.setting = keys.iter().map(|key| PathItem::Key((*key).to_owned())).collect();
+        self
+    }
+
     /// Names the stage, unless one is named already.
     pub fn stage(mut self, stage: &str) -> Self {
         self.stage.get_or_insert_with(|| stage.to_owned());

@@ -91,6 +91,7 @@ impl New {
         let chain: StructuralLoop = chain.parse().map_err(|error| {
             Error::usage(format!("{error}")).help("the notation is that of ISO 10791-6: see `abbe model --help`")
         })?;
+        check_size(&chain)?;
         let method = match self.method {
             Some(method) => method,
             None => {
@@ -161,6 +162,19 @@ impl New {
              `abbe run {folder}/recipe.yaml`.\n"
         )
     }
+}
+
+/// Axes of the longest chain that a calibration is begun for.
+const MOST_AXES: usize = 12;
+
+/// Refuses chains on which to try what measurements tell would take hours.
+fn check_size(chain: &StructuralLoop) -> Result<()> {
+    let axes = chain.axes.len();
+    if axes <= MOST_AXES {
+        return Ok(());
+    }
+    let message = format!("a chain of {axes} axes: a calibration is begun for {MOST_AXES} axes at most");
+    Err(Error::usage(message).help("leave out axes that stand while it is measured"))
 }
 
 /// The methods, for people.

@@ -166,11 +166,13 @@ impl Test {
         Ok(())
     }
 
-    /// The recipes: those that are named, and those in folders that are named, by name; each once.
+    /// The recipes: those that are named, and those in folders that are named, by name; each once. Fails if one that is named is not
+    /// there.
     fn listed(&self) -> Result<Vec<PathBuf>> {
         let mut all = Vec::new();
         for path in &self.recipes {
             if !path.is_dir() {
+                path.metadata().map_err(|error| is_not_there(path, &error))?;
                 all.push(path.clone());
                 continue;
             }
@@ -227,6 +229,15 @@ impl Test {
             Some(differences) => Ending::Changed(differences),
         })
     }
+}
+
+/// The error of a recipe that was named and is not there.
+fn is_not_there(path: &Path, error: &std::io::Error) -> Error {
+    let message = match error.kind() {
+        std::io::ErrorKind::NotFound => format!("the file `{}` does not exist", path.display()),
+        _ => format!("the file `{}` cannot be read: {}", path.display(), abbe_files::why(error)),
+    };
+    Error::usage(message).help("name recipes, or a folder with some")
 }
 
 /// Whether a YAML file says that it is a recipe. What cannot be read may be one: its test says why.

@@ -35,12 +35,12 @@ abbe_core::register!(
 struct Circular {
     /// The nominal radius of all circles under `from`.
     radius_mm: f64,
-    /// The column of angles, without its unit.
-    #[serde(default = "angle")]
-    angle: String,
-    /// The column of readings, length less the nominal radius, without its unit.
-    #[serde(default = "reading")]
-    reading: String,
+    /// The column of angles, without its unit. Default: `angle`. Not beside `scanned`.
+    #[serde(default)]
+    angle: Option<String>,
+    /// The column of readings, length less the nominal radius, without its unit. Default: `reading`. Not beside `scanned`.
+    #[serde(default)]
+    reading: Option<String>,
     /// Points that a probe scanned on a ring or a sphere, instead of angles and readings.
     #[serde(default)]
     scanned: Option<Scanned>,
@@ -72,9 +72,16 @@ impl Scanned {
     /// further in, so that the deviation of its path has the opposite sign.
     fn samples(&self, data: &Dataset, radius: f64) -> Result<[Vec<f64>; 2]> {
         let along = |axis: usize| -> Result<Vec<f64>> {
-            let mut all = finite(data, &self.plane[axis], Quantity::Length)?.to_vec();
+            let column = |name: &str, setting: &str| {
+                finite(data, name, Quantity::Length).map_err(|error| {
+                    let mut error = error.setting_at(&["scanned", setting]);
+                    error.setting.push(PathItem::Index(axis));
+                    error
+                })
+            };
+            let mut all = column(&self.plane[axis], "plane")?.to_vec();
             if let Some(names) = &self.deflections {
-                let deflections = finite(data, &names[axis], Quantity::Length)?;
+                let deflections = column(&names[axis], "deflections")?;
                 all.iter_mut().zip(deflections).for_each(|(own, deflection)| *own += deflection);
             }
             all.iter_mut().for_each(|own| *own -= self.centre_mm[axis]);
@@ -84,14 +91,6 @@ impl Scanned {
         let angles = one.iter().zip(&other).map(|(x, y)| y.atan2(*x)).collect();
         Ok([angles, one.iter().zip(&other).map(|(x, y)| radius - x.hypot(*y)).collect()])
     }
-}
-
-fn angle() -> String {
-    "angle".to_owned()
-}
-
-fn reading() -> String {
-    "reading".to_owned()
 }
 
 fn example() -> Value {
@@ -117,6 +116,13 @@ fn build(settings: Circular, _: &Context) -> Result<Box<dyn Validate>, SettingsE
         let at = [PathItem::Key("scanned".to_owned())];
         return Err(SettingsError::new("centre_mm", "finite numbers were expected").under(at));
     }
+    for (setting, column) in [("angle", &settings.angle), ("reading", &settings.reading)] {
+        if column.is_some() && settings.scanned.is_some() {
+            let message =
+                "angles and readings follow from the positions of the scanned points, so that this column is not read";
+            return Err(SettingsError::new(setting, message).help(format!("leave out `{setting}`, or `scanned`")));
+        }
+    }
     check_limits(&settings.limits, &names(&KEYS))?;
     Ok(Box::new(Judge(settings)))
 }
@@ -140,11 +146,20 @@ impl Circular {
     fn samples(&self, data: &Dataset) -> Result<[Vec<f64>; 2]> {
         match &self.scanned {
             Some(scanned) => scanned.samples(data, self.radius_mm),
-            None => Ok([
-                finite(data, &self.angle, Quantity::Angle)?.to_vec(),
-                finite(data, &self.reading, Quantity::Length)?.to_vec(),
-            ]),
+            None => {
+                let column = |name: &str, quantity, setting: &str| {
+                    let numbers = finite(data, name, quantity).map_err(|error| error.setting(setting))?;
+                    Ok(numbers.to_vec())
+                };
+                let angle = self.angle.as_deref().unwrap_or("angle");
+                Ok([column(angle, Quantity::Angle, "angle")?, column(self.reading(), Quantity::Length, "reading")?])
+            }
         }
+    }
+
+    /// The column of readings.
+    fn reading(&self) -> &str {
+        self.reading.as_deref().unwrap_or("reading")
     }
 
     /// The trace of one direction; none without readings.
@@ -194,7 +209,7 @@ impl Circular {
         let [angles, readings] = &samples;
         findings.remarks.extend(Self::turned(data, angles, &run)?);
         findings.remarks.extend(doubted(&run, &[readings]));
-        let mut faults = faults(&[(&self.reading, readings)], 1e-3 * self.standard_uncertainty_um, (1e3, "um"));
+        let mut faults = faults(&[(self.reading(), readings)], 1e-3 * self.standard_uncertainty_um, (1e3, "um"));
         let um: Vec<f64> = readings.iter().map(|value| 1e3 * value).collect();
         findings.remarks.extend(too_quiet(&run, &um, self.standard_uncertainty_um, "um"));
         let traces = [self.trace(data, &samples, true)?, self.trace(data, &samples, false)?];

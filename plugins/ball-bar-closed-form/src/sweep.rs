@@ -99,7 +99,7 @@ fn labelled(
     let layout = &set.info().layout;
     let labels = abbe_table::labels(&layout.data, column).map_err(|error| {
         let help = error.help.clone().unwrap_or_else(|| "name the column that tells the tests apart".to_owned());
-        Error { place: None, ..error }.help(help).setting("tests")
+        error.help(help).setting("tests")
     })?;
     let mut tests: Vec<(String, Vec<Sample>)> = Vec::new();
     for (&row, equation) in set.rows.iter().zip(equations) {

@@ -260,8 +260,7 @@ fn centres(problem: &Problem) -> Result<Vec<(SetIndex, Unknown)>> {
 /// The equations of every test of a set, counted within the set.
 fn tests(set: &ObservationSet, column: &str) -> Result<Vec<(String, Vec<usize>)>> {
     let layout = &set.info().layout;
-    let labels = abbe_table::labels(&layout.data, column)
-        .map_err(|error| Error { place: None, ..error }.setting("tests").stage(&set.name))?;
+    let labels = abbe_table::labels(&layout.data, column).map_err(|error| error.setting("tests"))?;
     let mut found: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for (place, row) in set.rows.iter().enumerate() {
         let data_row: DataRow = layout.rows[*row].data_row.unwrap_or_default();

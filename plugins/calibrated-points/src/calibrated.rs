@@ -83,8 +83,9 @@ impl Source {
         let headers = abbe_table::read_headers(path)?;
         let is_plane = !headers.iter().any(|header| header.name == "z");
         let lengths = ["x", "y", "z"].map(|name| (name, Quantity::Length));
-        let columns = [&[(label, Quantity::Label)], &lengths[..if is_plane { 2 } else { 3 }]].concat();
-        abbe_table::require(&headers, Some(path), &columns)
+        let required = |columns: &[_]| abbe_table::require(&headers, Some(path), columns);
+        required(&[(label, Quantity::Label)]).map_err(|error| error.setting("point"))?;
+        required(&lengths[..if is_plane { 2 } else { 3 }])
     }
 
     pub(crate) fn read(&self, settings: &Settings) -> Result<Points> {
@@ -106,8 +107,8 @@ impl Source {
 
 fn table(path: &Path, settings: &Settings) -> Result<Points> {
     let table = abbe_table::read(path)?;
+    let labels = abbe_table::labels(&table, &settings.point).map_err(|error| error.setting("point"))?.to_vec();
     abbe_table::unique_labels(&table, &settings.point)?;
-    let labels = abbe_table::labels(&table, &settings.point)?.to_vec();
     let points = match table.column("z") {
         Some(_) => abbe_table::points(&table, ["x", "y", "z"])?,
         None => {

@@ -14,9 +14,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, InputFile, KinematicModel, Layout, ListedBy,
-    Observations, ObservationsInfo, Parameter, Quantity, Result, RowBatch, RowIndex, SettingsError, Target, Unit,
-    not_negative, plain_naming, pose_columns, positive,
+    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, InputFile, KinematicModel, Layout,
+    ListedBy, Observations, ObservationsInfo, Parameter, Quantity, Result, RowBatch, RowIndex, SettingsError, Target,
+    Unit, not_negative, plain_naming, pose_columns, positive,
 };
 use abbe_dcc::CertificateFile;
 use nalgebra::Vector3;
@@ -129,8 +129,8 @@ impl<T> Labelled<T> {
 impl CalibratedPoints {
     fn read_placements(&self) -> Result<Labelled<Placement>> {
         let table = abbe_table::read(&self.placements)?;
+        let labels = abbe_table::labels(&table, &self.settings.placement).map_err(of_placement)?.to_vec();
         abbe_table::unique_labels(&table, &self.settings.placement)?;
-        let labels = abbe_table::labels(&table, &self.settings.placement)?.to_vec();
         let origins = abbe_table::points(&table, ["x", "y", "z"])?;
         let along_x = abbe_table::vectors(&table, ["ux", "uy", "uz"])?;
         let along_y = abbe_table::vectors(&table, ["vx", "vy", "vz"])?;
@@ -152,7 +152,7 @@ impl CalibratedPoints {
             return Ok(vec![0; data.rows()]);
         }
         let known = placements.index();
-        let labels = DataRow::enumerate(abbe_table::labels(data, column)?);
+        let labels = DataRow::enumerate(abbe_table::labels(data, column).map_err(of_placement)?);
         let of_rows = labels.map(|(row, label)| {
             known.get(label.as_str()).copied().ok_or_else(|| {
                 let file = self.placements.display();
@@ -161,6 +161,11 @@ impl CalibratedPoints {
         });
         of_rows.collect()
     }
+}
+
+/// An error about the column of placements.
+fn of_placement(error: Error) -> Error {
+    error.setting("placement")
 }
 
 /// The directions that were measured in every data row.
@@ -194,12 +199,15 @@ impl Artefact for CalibratedPoints {
 
     fn check(&self, headers: &[ColumnHeader], file: Option<&PathBuf>, model: &dyn KinematicModel) -> Result<()> {
         pose_columns(headers, file, model, &plain_naming)?;
-        abbe_table::require(headers, file, &[(&self.settings.point, Quantity::Label)])?;
+        abbe_table::require(headers, file, &[(&self.settings.point, Quantity::Label)])
+            .map_err(|error| error.setting("point"))?;
         let lengths = ["x", "y", "z"].map(|name| (name, Quantity::Length));
         let directions = ["ux", "uy", "uz", "vx", "vy", "vz"].map(|name| (name, Quantity::Ratio));
         self.points.check(&self.settings.point)?;
-        let placed = [&[(self.settings.placement.as_str(), Quantity::Label)], &lengths[..], &directions].concat();
-        abbe_table::require(&abbe_table::read_headers(&self.placements)?, Some(&self.placements), &placed)
+        let (placements, label) = (abbe_table::read_headers(&self.placements)?, self.settings.placement.as_str());
+        let required = |columns: &[_]| abbe_table::require(&placements, Some(&self.placements), columns);
+        required(&[(label, Quantity::Label)]).map_err(of_placement)?;
+        required(&[&lengths[..], &directions].concat())
     }
 
     fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
@@ -209,7 +217,7 @@ impl Artefact for CalibratedPoints {
     fn observe_some(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Option<Arc<dyn Observations>>> {
         let (points, placements) = (self.points.read(&self.settings)?, self.read_placements()?);
         let known = points.places();
-        let labels = abbe_table::labels(data, &self.settings.point)?;
+        let labels = abbe_table::labels(data, &self.settings.point).map_err(|error| error.setting("point"))?;
         let of_rows: Vec<Option<usize>> = labels.iter().map(|label| known.get(label.as_str()).copied()).collect();
         let Some(touched) = abbe_table::touched_by_some(&of_rows) else { return Ok(None) };
         let (placed, directions) = (self.placement_of_rows(data, &placements)?, measured(data)?);

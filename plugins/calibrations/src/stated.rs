@@ -44,7 +44,7 @@ struct Settings {
     /// The stated values, by the name of the parameter.
     #[serde(default)]
     values: BTreeMap<String, Stated>,
-    /// Names and patterns in the file that are ignored, such as those of artefacts.
+    /// Names and patterns in the file or the certificate that are ignored, such as those of artefacts.
     #[serde(default)]
     ignore: Vec<String>,
 }
@@ -69,6 +69,10 @@ fn example() -> Value {
 fn build(settings: Settings, context: &Context) -> Result<Box<dyn Estimate>, SettingsError> {
     if settings.path.is_none() && settings.certificate.is_none() && settings.values.is_empty() {
         return Err(SettingsError::new("", "`path`, `certificate` or `values` was expected: what is stated?"));
+    }
+    if !settings.ignore.is_empty() && settings.path.is_none() && settings.certificate.is_none() {
+        let message = "there is no file of which something could be ignored";
+        return Err(SettingsError::new("ignore", message).help("leave out `ignore`, and `values` that do not count"));
     }
     let certificate = settings.certificate.as_ref().map(|certificate| certificate.path(context)).transpose();
     let certificate = certificate.map_err(|error| error.under([PathItem::Key("certificate".to_owned())]))?;
@@ -127,7 +131,9 @@ impl Statement {
     fn entries(&self, problem: &Problem, certificate: Option<&DigitalCertificate>) -> Result<Vec<Entry>> {
         let mut entries = match &self.path {
             None => Vec::new(),
-            Some(path) if path.extension().is_some_and(|extension| extension == "json") => of_json(path)?,
+            Some(path) if path.extension().is_some_and(|extension| extension == "json") => {
+                of_json(path)?.into_iter().filter(|entry| !self.ignores(&entry.name)).collect()
+            }
             Some(path) => self.of_table(path, problem)?,
         };
         if let Some(certificate) = certificate {
@@ -228,9 +234,6 @@ impl Statement {
         for Entry { name, value, standard_uncertainty, certified, place } in
             self.entries(&problem, certificate.as_ref())?
         {
-            if self.ignores(&name) {
-                continue;
-            }
             let parameters = &problem.model.info().parameters;
             let index = parameters.iter().position(|parameter| parameter.name == name);
             let index = index.ok_or_else(|| place(no_parameter(&name, &problem)))?;

@@ -115,7 +115,7 @@ struct Document<'a> {
 
 impl<'a> Document<'a> {
     fn new(table: &'a Dataset, feature: &str, tips: &'a [Measured]) -> Result<Self> {
-        let labels = abbe_table::labels(table, feature)?;
+        let labels = abbe_table::labels(table, feature).map_err(|error| error.setting("feature"))?;
         let runs = table.labels("run");
         let has_nominal = ["x", "y", "z"]
             .iter()

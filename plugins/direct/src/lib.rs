@@ -356,7 +356,8 @@ impl Direct {
 
     /// The label of every row, each that of a measurement; every measurement has rows.
     fn labels<'a>(&self, data: &'a Dataset) -> Result<&'a [String]> {
-        let labels = abbe_table::labels(data, &self.settings.measurement)?;
+        let labels =
+            abbe_table::labels(data, &self.settings.measurement).map_err(|error| error.setting("measurement"))?;
         let known = &self.settings.measurements;
         if let Some((row, label)) = DataRow::enumerate(labels).find(|(_, label)| !known.contains_key(*label)) {
             let message = format!("{} `{}` is not among the `measurements`", self.settings.measurement, label);

@@ -44,7 +44,7 @@ impl GaussNewton {
         let runs = runs(problem, select)?;
         let tried = self.tried(&start, select, &runs)?;
         let best = tried.iter().map(|tried| tried.error).fold(f64::INFINITY, f64::min);
-        let as_good = tried.iter().filter(|tried| tried.error <= best * (1.0 + select.worse));
+        let as_good = tried.iter().filter(|tried| tried.error <= best * (1.0 + select.worse()));
         let unknowns = |tried: &&Tried| select.without(&start, &tried.left_out).unknowns.len();
         let Some(chosen) = as_good.min_by_key(unknowns) else {
             let none = || Error::data("no choice of these candidates predicts any run").setting("select");
@@ -62,7 +62,7 @@ impl GaussNewton {
         };
         let selection = SelectionByPrediction {
             runs: runs.iter().map(|run| run.label.clone()).collect(),
-            worse: select.worse,
+            worse: select.worse(),
             kept: names(true),
             left_out: names(false),
             chosen: structure(chosen),
@@ -92,7 +92,7 @@ impl GaussNewton {
                 }
             }
             let Some(best) = best else { break };
-            let much_worse = best.error > error * (1.0 + select.worse);
+            let much_worse = best.error > error * (1.0 + select.worse());
             (left_out, error) = (best.left_out.clone(), best.error);
             tried.push(best);
             if much_worse {
@@ -178,7 +178,7 @@ fn of_run(problem: &Problem, run: &Run, held: bool) -> Problem {
 /// The runs of a problem: rows with the same label, or parts of the time.
 fn runs(problem: &Problem, select: &Select) -> Result<Vec<Run>> {
     let mut runs: Vec<Run> = Vec::new();
-    let (ends, parts) = (times(problem), select.parts.get() as u64);
+    let (ends, parts) = (times(problem), select.parts().get() as u64);
     let part = |time: f64| ((time - ends[0]) / (ends[1] - ends[0]) * parts as f64) as u64;
     for (index, set) in SetIndex::enumerate(&problem.sets) {
         let layout = &set.info().layout;

@@ -22,20 +22,20 @@ pub struct Select {
     /// By prediction: the column of labels whose rows are left out together. Default: parts of the time.
     #[serde(default)]
     pub(crate) runs: Option<String>,
-    /// By prediction, without `runs`: number of parts of the time from the first row to the last one.
-    #[serde(default = "default_parts")]
-    pub(crate) parts: Whole<2, 100>,
-    /// By prediction: part by which predictions may be worse than the best ones, for fewer unknowns.
-    #[serde(default = "default_worse")]
-    pub(crate) worse: f64,
-    /// A parameter is left out if its p-value (partial F test) is at least this. The p-value is the probability that a
-    /// parameter seems as significant by chance alone.
-    #[serde(default = "default_level")]
-    level: f64,
-    /// `backward` starts with all parameters and removes some; `forward` starts with none and adds some; `both` also
-    /// removes added ones again.
-    #[serde(default)]
-    direction: SelectionDirection,
+    /// By prediction, without `runs`: number of parts of the time from the first row to the last one. Default: 4.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) parts: Option<Whole<2, 100>>,
+    /// By prediction: part by which predictions may be worse than the best ones, for fewer unknowns. Default: 0.02.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) worse: Option<f64>,
+    /// By significance: a parameter is left out if its p-value (partial F test) is at least this. The p-value is the probability
+    /// that a parameter seems as significant by chance alone. Default: 0.0001.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    level: Option<f64>,
+    /// By significance: `backward` starts with all parameters and removes some; `forward` starts with none and adds some; `both`
+    /// also removes added ones again. Default: `backward`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    direction: Option<SelectionDirection>,
 }
 
 /// What decides whether a candidate is left out.
@@ -49,34 +49,53 @@ pub enum SelectBy {
     Prediction,
 }
 
-fn default_parts() -> Whole<2, 100> {
-    Whole::new(4)
-}
-
-fn default_worse() -> f64 {
-    0.02
-}
-
-fn default_level() -> f64 {
-    1e-4
-}
-
 impl Select {
+    /// Number of parts of the time.
+    pub(crate) fn parts(&self) -> Whole<2, 100> {
+        self.parts.unwrap_or(Whole::new(4))
+    }
+
+    /// Part by which predictions may be worse than the best ones.
+    pub(crate) fn worse(&self) -> f64 {
+        self.worse.unwrap_or(0.02)
+    }
+
+    fn level(&self) -> f64 {
+        self.level.unwrap_or(1e-4)
+    }
+
+    /// Refuses settings that are read with another way to decide, or beside runs.
+    fn check_read(&self) -> Result<(), SettingsError> {
+        let of_significance = [("level", self.level.is_some()), ("direction", self.direction.is_some())];
+        let of_prediction =
+            [("runs", self.runs.is_some()), ("parts", self.parts.is_some()), ("worse", self.worse.is_some())];
+        let (others, other) = match self.by {
+            SelectBy::Prediction => (&of_significance[..], "significance"),
+            SelectBy::Significance => (&of_prediction[..], "prediction"),
+        };
+        if let Some((setting, _)) = others.iter().find(|(_, is_set)| *is_set) {
+            let message = format!("this belongs to a selection `by: {other}`");
+            return Err(SettingsError::new(setting, message).help(format!("write `by: {other}`, or leave it out")));
+        }
+        match self.runs.is_some() && self.parts.is_some() {
+            true => Err(SettingsError::new("parts", "`runs` says which rows are left out together, and not the time")
+                .help("leave out `parts`, or `runs`")),
+            false => Ok(()),
+        }
+    }
+
     /// Refuses settings that make no sense.
     pub fn check(&self) -> Result<(), SettingsError> {
-        if !(self.level > 0.0 && self.level < 1.0) {
+        if !(self.level() > 0.0 && self.level() < 1.0) {
             return Err(SettingsError::new("level", "a probability between 0 and 1 was expected"));
         }
         if self.candidates.is_empty() {
             return Err(SettingsError::new("candidates", "there is nothing to choose from"));
         }
-        if !(self.worse >= 0.0 && self.worse < 1.0) {
+        if !(self.worse() >= 0.0 && self.worse() < 1.0) {
             return Err(SettingsError::new("worse", "a number from 0 to below 1 was expected"));
         }
-        if self.runs.is_some() && self.by == SelectBy::Significance {
-            return Err(SettingsError::new("runs", "runs are left out to be predicted: `by: prediction`"));
-        }
-        Ok(())
+        self.check_read()
     }
 
     /// Indices of the candidates among the unknowns of a problem.
@@ -107,20 +126,20 @@ impl Select {
         (factor, x): (&Factor, &[f64]),
         degrees_of_freedom: usize,
     ) -> Result<Selection> {
-        let direction = match self.direction {
+        let direction = match self.direction.unwrap_or_default() {
             SelectionDirection::Backward => StepwiseDirection::Backward,
             SelectionDirection::Forward => StepwiseDirection::Forward,
             SelectionDirection::Both => StepwiseDirection::Both,
         };
-        let found = factor.stepwise(x, candidates, degrees_of_freedom, self.level, direction).ok_or_else(|| {
+        let found = factor.stepwise(x, candidates, degrees_of_freedom, self.level(), direction).ok_or_else(|| {
             Error::data("the significance of parameters cannot be told: some have no effect of their own")
                 .setting("select")
         })?;
         let name = |unknown: usize| problem.unknowns[unknown].name.clone();
         let left_out = candidates.iter().copied().filter(|unknown| !found.kept.contains(unknown));
         Ok(Selection {
-            level: self.level,
-            direction: self.direction,
+            level: self.level(),
+            direction: self.direction.unwrap_or_default(),
             left_out: left_out.map(name).collect(),
             kept: found.kept.iter().copied().map(name).collect(),
             steps: found

@@ -191,13 +191,13 @@ fn what_is_wrong_is_said_with_its_place() {
         (
             touches,
             with_path("keep", json!({ "featur": [1] })),
-            "Use keep.featur: there is no column `featur`; the columns are `feature`, `X_mm`, `file` (did you mean \
+            "Use keep.featur: touches.csv: there is no column `featur`; the columns are `feature`, `X_mm`, `file` (did you mean \
              `feature`?)",
         ),
         (
             touches,
             with_path("ignore", json!({ "X": [0.5] })),
-            "Use ignore.X: the column `X_mm` holds numbers; labels were expected",
+            "Use ignore.X: touches.csv: the column `X_mm` holds numbers; labels were expected",
         ),
         (
             touches,
@@ -223,12 +223,12 @@ fn what_is_wrong_is_said_with_its_place() {
         (
             &[TOUCHES, ("t.csv", "point,u\n1,5\n")],
             with_path("join", json!({ "table": "t.csv", "on": "point" })),
-            "Use join.on: there is no column `point`; the columns are `feature`, `X_mm`, `file`",
+            "Use join.on: touches.csv: there is no column `point`; the columns are `feature`, `X_mm`, `file`",
         ),
         (
             &[TOUCHES, ("t.csv", "point,u\n1,5\n")],
             with_path("join", json!({ "table": "t.csv", "on": "feature" })),
-            "Use: t.csv: there is no column `feature`; the columns are `point`, `u`",
+            "Use join.on: t.csv: there is no column `feature`; the columns are `point`, `u`",
         ),
     ];
     for (files, settings, expected) in cases {
@@ -319,7 +319,7 @@ fn series_are_averaged_row_by_row() {
     check_error(
         &files,
         json!({ "path": "s-*.csv", "average": { "over": "file", "by": ["config", "tim"] } }),
-        "Use average.by: there is no column `tim`; the columns are `config`, `X_mm`, `A_deg`, `time_s`, `day`, `file` (did you mean `time_s`?)",
+        "Use average.by: s-1.csv: there is no column `tim`; the columns are `config`, `X_mm`, `A_deg`, `time_s`, `day`, `file` (did you mean `time_s`?)",
     );
     check_error(
         &files,

@@ -158,6 +158,7 @@ impl Motion {
             columns: &self.columns,
             encoder: self.encoder,
             sensors: self.radial.keys().chain(&self.axial).map(String::as_str).collect(),
+            axial: self.axial.as_deref(),
             plausible: self.plausible_um.map(|value| value * 1e-3),
             speeds: self.speeds(),
         }
@@ -320,6 +321,10 @@ pub fn along_rotating(readings: &[f64], between: f64, angle: f64) -> f64 {
 impl Estimate for Motion {
     fn check_readings(&self, headers: &[Vec<ColumnHeader>]) -> Result<()> {
         check_columns(&self.expected(), headers)
+    }
+
+    fn estimates_readings_at_once(&self) -> bool {
+        true
     }
 
     fn estimate_readings(&self, name: &str, data: &[&Dataset]) -> Result<Calibration> {

@@ -51,6 +51,8 @@ pub struct Expected<'a> {
     pub encoder: Encoder,
     /// The columns of the sensors.
     pub sensors: Vec<&'a str>,
+    /// The axial one of them, if there is one.
+    pub axial: Option<&'a str>,
     /// Smallest and largest range of the readings of a sensor, mm.
     pub plausible: [f64; 2],
     /// Speeds that a run may have.
@@ -59,13 +61,23 @@ pub struct Expected<'a> {
 
 /// Fails if readings with these columns cannot be used.
 pub fn check_columns(expected: &Expected<'_>, headers: &[Vec<ColumnHeader>]) -> Result<()> {
-    let Columns { angle, time, .. } = expected.columns;
-    let lengths = expected.sensors.iter().map(|sensor| (*sensor, Quantity::Length));
-    let wanted = [(angle.as_str(), Quantity::Angle), (time.as_str(), Quantity::Time)].into_iter().chain(lengths);
-    for (name, quantity) in wanted {
-        headers.iter().enumerate().try_for_each(|(place, headers)| check_column(place, headers, name, quantity))?;
+    let Columns { angle, time, run } = expected.columns;
+    let each = |name: &str, quantity: Quantity, setting: &[&str]| {
+        let mut headers = headers.iter().enumerate();
+        headers.try_for_each(|(place, headers)| {
+            check_column(place, headers, name, quantity).map_err(|error| error.setting_at(setting))
+        })
+    };
+    each(angle, Quantity::Angle, &["columns", "angle"])?;
+    each(time, Quantity::Time, &["columns", "time"])?;
+    // Rows know their file without a column.
+    if *run != self::run() {
+        each(run, Quantity::Label, &["columns", "run"])?;
     }
-    Ok(())
+    expected.sensors.iter().try_for_each(|sensor| match expected.axial == Some(*sensor) {
+        true => each(sensor, Quantity::Length, &["axial"]),
+        false => each(sensor, Quantity::Length, &["radial", sensor]),
+    })
 }
 
 /// Fails if the data set at this place under `from` has no such column.

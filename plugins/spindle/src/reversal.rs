@@ -115,6 +115,7 @@ impl Reversal {
             columns: &self.columns,
             encoder: self.encoder,
             sensors: self.radial.keys().map(String::as_str).collect(),
+            axial: None,
             plausible: self.plausible_um.map(|value| value * 1e-3),
             speeds: Speeds { plausible: self.plausible_rpm, stated: self.speed_rpm.as_slice() },
         }
@@ -222,6 +223,10 @@ impl Reversal {
 impl Estimate for Reversal {
     fn check_readings(&self, headers: &[Vec<ColumnHeader>]) -> Result<()> {
         check_columns(&self.expected(), headers)
+    }
+
+    fn estimates_readings_at_once(&self) -> bool {
+        true
     }
 
     fn estimate_readings(&self, name: &str, data: &[&Dataset]) -> Result<Calibration> {

@@ -281,6 +281,10 @@ impl Spindle {
 }
 
 impl Validate for Spindle {
+    fn estimates(&self) -> Vec<(&'static str, String)> {
+        self.last.iter().map(|last| ("last", last.clone())).collect()
+    }
+
     fn accepts_data(&self) -> bool {
         true
     }

@@ -1,8 +1,8 @@
 //! Estimator plugin `spindle-warm-up`: drift of a spindle while it warms up, and how it follows temperatures.
 
 use abbe_core::{
-    Calibration, ColumnHeader, Context, DataRow, Dataset, Error, Estimate, EstimateSource, Identifiability, Problem,
-    Quantity, Result, SettingsError, positive,
+    Calibration, ColumnHeader, Context, DataRow, Dataset, Error, Estimate, EstimateSource, Identifiability, PathItem,
+    Problem, Quantity, Result, SettingsError, positive,
 };
 use abbe_standards::thermal_drift::{range, slope_at_end, time_to_part};
 use abbe_thermal::{Fitted, Hold, Output, Reference, SensorLog, Structure, exchanged, is_dead, stuck_part};
@@ -292,11 +292,23 @@ fn inverse_of(log: &SensorLog) -> Option<(DMatrix<f64>, f64)> {
 impl Estimate for WarmUp {
     fn check_readings(&self, headers: &[Vec<ColumnHeader>]) -> Result<()> {
         for (place, headers) in headers.iter().enumerate() {
-            check_column(place, headers, &self.time, Quantity::Time)?;
-            self.drift.iter().try_for_each(|name| check_column(place, headers, name, Quantity::Length))?;
-            self.temperatures.iter().try_for_each(|name| check_column(place, headers, name, Quantity::Temperature))?;
+            check_column(place, headers, &self.time, Quantity::Time).map_err(|error| error.setting("time"))?;
+            let listed =
+                [("drift", &self.drift, Quantity::Length), ("temperatures", &self.temperatures, Quantity::Temperature)];
+            for (setting, names, quantity) in listed {
+                for (index, name) in names.iter().enumerate() {
+                    check_column(place, headers, name, quantity).map_err(|error| {
+                        let setting = vec![PathItem::Key(setting.to_owned()), PathItem::Index(index)];
+                        Error { setting, ..error }
+                    })?;
+                }
+            }
         }
         Ok(())
+    }
+
+    fn estimates_readings_at_once(&self) -> bool {
+        true
     }
 
     fn estimate_readings(&self, name: &str, data: &[&Dataset]) -> Result<Calibration> {

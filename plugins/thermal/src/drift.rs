@@ -166,26 +166,33 @@ impl DriftSettings {
 
     /// All readings and angles of the judged rows.
     fn all(&self, data: &Dataset, rows: std::ops::Range<usize>) -> Result<Vec<Readings>> {
-        let length = |name: &String| -> Result<Vec<f64>> {
-            match quantity(data, name) {
+        let length = |name: &String, at: &[PathItem]| -> Result<Vec<f64>> {
+            let values = match quantity(data, name) {
                 Quantity::Length => Ok(data.required_numbers(name)?[rows.clone()].iter().map(|mm| 1e3 * mm).collect()),
                 Quantity::Label => Err(data.required_numbers(name).err().unwrap_or_else(|| Error::data("no numbers"))),
-                _ => Err(Error::usage(format!("{name} is no length"))),
-            }
+                _ => Err(in_file(data, Error::usage(format!("{name} is no length")))),
+            };
+            values.map_err(|error| Error { setting: at.to_vec(), ..error })
+        };
+        let at = |keys: &[&str], index: usize| {
+            let keys = std::iter::once("drift").chain(keys.iter().copied());
+            let keys = keys.map(|key| PathItem::Key(key.to_owned()));
+            keys.chain([PathItem::Index(index)]).collect::<Vec<PathItem>>()
         };
         let u = self.standard_uncertainty_um;
         let mut all = Vec::new();
-        for name in &self.readings {
+        for (index, name) in self.readings.iter().enumerate() {
             let is_angle = quantity(data, name) == Quantity::Angle;
             let values = match is_angle {
                 true => data.required_numbers(name)?[rows.clone()].iter().map(|rad| 1e6 * rad).collect(),
-                false => length(name)?,
+                false => length(name, &at(&["readings"], index))?,
             };
             let (unit, standard_uncertainty) = if is_angle { ("urad", 0.0) } else { ("um", u) };
             all.push(Readings { name: name.clone(), unit, values, standard_uncertainty });
         }
         for (name, angle) in &self.angles {
-            let [one, other] = [length(&angle.of[0])?, length(&angle.of[1])?];
+            let of = |end: usize| length(&angle.of[end], &at(&["angles", name, "of"], end));
+            let [one, other] = [of(0)?, of(1)?];
             let scale = 1e3 / angle.distance_mm;
             let values = one.iter().zip(other).map(|(one, other)| scale * (other - one)).collect();
             let standard_uncertainty = 2.0_f64.sqrt() * u * scale;
@@ -232,7 +239,7 @@ impl DriftSettings {
         for (index, name) in self.temperatures.iter().enumerate() {
             if quantity(data, name) != Quantity::Temperature {
                 let message = format!("{name} is no column of temperatures");
-                let mut error = Error::usage(message);
+                let mut error = in_file(data, Error::usage(message));
                 error.setting = ["drift", "temperatures"].map(|key| PathItem::Key(key.to_owned())).to_vec();
                 error.setting.push(PathItem::Index(index));
                 return Err(error);
@@ -253,6 +260,14 @@ impl DriftSettings {
             }
         }
         Ok(())
+    }
+}
+
+/// An error about the columns of a data set.
+fn in_file(data: &Dataset, error: Error) -> Error {
+    match data.files.first() {
+        Some(file) => error.in_file(file),
+        None => error,
     }
 }
 

@@ -200,9 +200,13 @@ impl Settings {
     /// Fails for a name or pattern without a column of numbers.
     pub fn chosen(&self, headers: &[ColumnHeader]) -> Result<Vec<String>> {
         let mut chosen: Vec<String> = Vec::new();
-        for name in self.columns().map(String::as_str).chain([TIME]) {
-            number_column(headers, name)?;
+        for (setting, names) in [("inputs", &self.inputs), ("at_once", &self.at_once)] {
+            for (index, name) in names.iter().enumerate() {
+                let setting = vec![PathItem::Key(setting.to_owned()), PathItem::Index(index)];
+                number_column(headers, name).map_err(|error| Error { setting, ..error })?;
+            }
         }
+        number_column(headers, TIME)?;
         for (index, pattern) in self.outputs.iter().enumerate() {
             let fits = |header: &&ColumnHeader| {
                 let own = header.name.as_str();

@@ -49,6 +49,10 @@ impl Estimate for ToolDimensions {
         check_table(&self.table)
     }
 
+    fn estimates_readings_at_once(&self) -> bool {
+        true
+    }
+
     fn estimate_readings(&self, name: &str, data: &[&Dataset]) -> Result<Calibration> {
         let settings = &self.settings;
         let log = Log::read(data, settings)?;

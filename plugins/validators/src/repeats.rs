@@ -166,10 +166,9 @@ impl Repeats {
 fn repeats(problem: &Problem, by: &str) -> Result<Vec<(String, Vec<Vec<RowIndex>>)>> {
     let mut found: Vec<(String, Vec<Vec<RowIndex>>)> = Vec::new();
     let of_rows: Vec<Option<&[String]>> = problem.sets.iter().map(|set| set.info().layout.data.labels(by)).collect();
-    let at_column = |error: Error| Error { place: None, ..error }.setting("by");
     if of_rows.iter().all(Option::is_none) {
         let set = problem.sets.first().ok_or_else(|| Error::data("there are no observations"))?;
-        abbe_table::labels(&set.info().layout.data, by).map_err(at_column)?;
+        abbe_table::labels(&set.info().layout.data, by).map_err(|error| error.setting("by"))?;
     }
     let empty = || vec![Vec::new(); problem.sets.len()];
     for (index, (set, labels)) in problem.sets.iter().zip(&of_rows).enumerate() {
@@ -256,7 +255,7 @@ mod tests {
             "by: the column `group` has 1 label; two repeats or more were expected"
         );
         let column = of(&json!({ "by": "grop" }));
-        assert!(column.starts_with("by: there is no column `grop`"), "{column}");
+        assert!(column.starts_with("by: touches.csv: there is no column `grop`"), "{column}");
         assert_eq!(
             of(&json!({ "by": "group", "parameters": ["EXX*"] })),
             "parameters[0]: `EXX*` matches nothing that fit estimates"

@@ -118,6 +118,12 @@ fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsE
     for (index, entry) in settings.parameters.iter().enumerate() {
         entry.check().map_err(|error| error.under([key("parameters"), PathItem::Index(index)]))?;
     }
+    let is_expanded = |entry: &Entry| matches!(entry.limit(), Some((_, Measure::Expanded, _)));
+    if settings.coverage_factor.is_some() && !settings.parameters.iter().any(is_expanded) {
+        let message = "it makes expanded uncertainties, and none is limited";
+        let help = "limit one under `parameters` (`expanded_um`), or leave out `coverage_factor`";
+        return Err(SettingsError::new("coverage_factor", message).help(help));
+    }
     if let Some(workspace) = &settings.volumetric {
         workspace.check().map_err(|error| error.under([key("volumetric")]))?;
     }

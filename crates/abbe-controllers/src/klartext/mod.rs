@@ -79,6 +79,7 @@ impl Program {
                 "write `BEGIN PGM name MM` before it",
             ));
         }
+        reader.has_block |= !matches!(statement, Statement::Begin | Statement::End);
         self.open = Some(statement).filter(|_| frame.is_open);
         let rest = Cursor::new(text, start + length..frame.block.end);
         match statement {

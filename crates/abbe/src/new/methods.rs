@@ -22,6 +22,9 @@ const INDEXATIONS: usize = 12;
 /// Lengths that a first calibration measures.
 const LENGTHS: usize = 30;
 
+/// Indexations that are candidates, about: every one is tried, so that the time grows with their number.
+const CANDIDATES: usize = 256;
+
 /// Poses that a first calibration measures.
 pub const POSES: usize = 60;
 
@@ -188,10 +191,11 @@ impl Method {
                     azimuth_deg: { from: 0, to: 315, step: 45 }\n      elevation_deg: [0, 45, 90]"
                 .to_owned();
         }
+        let positions = positions_of_each(turning(chain).count());
         let indexations: Vec<String> = turning(chain)
-            .map(|axis| match turns_round(axis.direction()) {
-                true => format!("{}: {{ from: 0, to: 300, step: 60 }}", axis.name),
-                false => format!("{}: {{ from: -60, to: 60, step: 30 }}", axis.name),
+            .map(|axis| {
+                let [from, to, step] = grid_of(positions, turns_round(axis.direction()));
+                format!("{}: {{ from: {from}, to: {to}, step: {step} }}", axis.name)
             })
             .collect();
         let mut settings = vec!["reach_deg: 90".to_owned()];
@@ -221,6 +225,29 @@ impl Method {
 /// The rotary axes that move.
 fn turning(chain: &StructuralLoop) -> impl Iterator<Item = &NamedAxis> {
     chain.axes.iter().filter(|axis| axis.kind() == AxisKind::Rotary && !axis.indexed)
+}
+
+/// Positions of each of so many rotary axes in the grid of candidates; none if they get all that make sense.
+fn positions_of_each(rotary_axes: usize) -> Option<usize> {
+    let fits = |positions: usize| positions.pow(rotary_axes as u32) <= CANDIDATES;
+    match rotary_axes {
+        0..=3 => None,
+        _ => Some((2..=5).rev().find(|positions| fits(*positions)).unwrap_or(2)),
+    }
+}
+
+/// First and last position of an axis, and the step between them, degrees. Two positions differ in sine and cosine of the angle.
+fn grid_of(positions: Option<usize>, turns_round: bool) -> [i32; 3] {
+    match (positions, turns_round) {
+        (Some(2), true) => [0, 90, 90],
+        (Some(2), false) => [-60, 30, 90],
+        (Some(3), true) => [0, 240, 120],
+        (Some(3), false) => [-60, 60, 60],
+        (Some(4), true) => [0, 270, 90],
+        (Some(4), false) => [-60, 60, 40],
+        (_, true) => [0, 300, 60],
+        (_, false) => [-60, 60, 30],
+    }
 }
 
 /// Whether rotary axes turn the tool relative to the table about two directions at least.
