@@ -60,7 +60,7 @@ pub(crate) fn in_contact(problem: &Problem, at: &[f64], kept: Option<&[f64]>) ->
 }
 
 /// What a part without rows tells: nothing of its unknowns.
-fn of_no_rows(asked: AskedOfPart, own: &[String]) -> PartEvidence {
+pub(crate) fn of_no_rows(asked: AskedOfPart, own: &[String]) -> PartEvidence {
     let rows = || Some(triangle(own, &Accumulator::new(own.len(), 0).finish()));
     match asked {
         AskedOfPart::Start => PartEvidence { recorded: rows(), nominal: rows(), ..PartEvidence::default() },

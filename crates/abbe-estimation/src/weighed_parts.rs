@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    EquationIndex, Error, PartEvidence, Problem, Quantity, ResidualSums, Result, SetIndex, SizeSums, Triangle, Unknown,
+    AskedOfPart, EquationIndex, Error, PartEvidence, Problem, Quantity, ResidualSums, Result, SetIndex, SizeSums, Triangle, Unknown,
     WeighedSums,
 };
 use abbe_numerics::{
@@ -11,7 +11,7 @@ use abbe_numerics::{
 };
 
 use crate::judgement::Judgement;
-use crate::parts::{RowsInParts, check, in_contact, triangle};
+use crate::parts::{RowsInParts, check, in_contact, of_no_rows, triangle};
 use crate::residuals::{outliers, point_squares};
 use crate::weighted::Weighted;
 
@@ -77,6 +77,9 @@ impl Place<'_> {
 
     /// What the rows of a part tell on the way.
     fn pass(&self, problem: &Problem) -> Result<PartEvidence> {
+        if problem.equations() == 0 {
+            return Ok(without_rows(AskedOfPart::Rows, problem));
+        }
         let Weighed { weights, factor } = self.weighed(problem)?;
         let mut sums = WeighedSums::default();
         for (row, constraint) in weights.iter().zip(problem.constraints()) {
@@ -96,6 +99,10 @@ impl Place<'_> {
 
     /// What the rows of a part tell at the solution.
     fn solution(&self, problem: &Problem, robust: Robust) -> Result<PartEvidence> {
+        if problem.equations() == 0 {
+            let PartEvidence { nominal, .. } = without_rows(AskedOfPart::Start, problem);
+            return Ok(PartEvidence { nominal, ..without_rows(AskedOfPart::Solution, problem) });
+        }
         let Weighed { weights, .. } = self.weighed(problem)?;
         let x = self.values(&self.columns(problem)?);
         let of = |value: fn(&RowWeight) -> f64| weights.iter().map(value).collect::<Vec<f64>>();
@@ -130,6 +137,12 @@ impl Place<'_> {
             ..PartEvidence::default()
         })
     }
+}
+
+/// What a part without rows tells.
+fn without_rows(asked: AskedOfPart, problem: &Problem) -> PartEvidence {
+    let own: Vec<String> = problem.unknowns.iter().map(|unknown| unknown.name.clone()).collect();
+    PartEvidence { weighed: Some(WeighedSums::default()), ..of_no_rows(asked, &own) }
 }
 
 /// The sums of the residuals of rows that are not left out; their squares are those of their influences.
