@@ -8,7 +8,7 @@ use abbe_core::Calibration;
 use serde_json::{Value, json};
 
 use crate::fleet::shards::{agree, of_parts};
-use crate::support::{Printed, Small, Variant, as_typed, json_file, read, temporary, tree, write};
+use crate::support::{Printed, Random, Small, Variant, as_typed, json_file, read, temporary, tree, write};
 
 /// Estimates of recipes of this repository whose rows are independent of each other: recipe, estimate, ingest stage.
 const ESTIMATES: [(&str, &str, &str); 7] = [
@@ -45,6 +45,63 @@ fn batches_are_one_estimate() {
             let in_batches = run(at, "batches");
             assert_eq!(in_batches.status, printed.status, "{name}: {}", in_batches.stderr);
             agree(&format!("{name}, {estimate}, {rows} rows a batch"), &calibration(at, "batches", estimate), &whole);
+        }
+    }
+}
+
+/// Touches over and over, each moved by noise, some by far more, as a file of their own.
+fn with_gross_errors(recipe: Variant, at: &Path, copies: usize) -> Variant {
+    let touches = read(&recipe.path("touches", "path"));
+    let is_header = |line: &&str| line.contains("X_mm");
+    let head = touches.lines().position(|line| is_header(&line)).expect("a header");
+    let header: Vec<&str> = touches.lines().nth(head).expect("a header").split(',').collect();
+    let axes: Vec<usize> =
+        (0..header.len()).filter(|place| ["X_mm", "Y_mm", "Z_mm"].contains(&header[*place])).collect();
+    let random = &mut Random::new(28);
+    let mut text: Vec<String> = touches.lines().take(head + 1).map(str::to_owned).collect();
+    for _ in 0..copies {
+        for line in touches.lines().skip(head + 1).filter(|line| !line.is_empty() && !line.starts_with('#')) {
+            let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+            for (index, place) in axes.iter().enumerate() {
+                let gross = if index == 0 && random.below(12) == 0 { 0.04 } else { 0.0 };
+                let value: f64 = cells[*place].parse().expect("a number");
+                cells[*place] = format!("{:.6}", value + gross + 5e-4 * random.normal());
+            }
+            text.push(cells.join(","));
+        }
+    }
+    write(&at.join("touches.csv"), &(text.join("\n") + "\n"));
+    recipe.set("touches", "path", json!("touches.csv"))
+}
+
+/// Weights, the scale and outliers are those of a run that holds all rows.
+#[test]
+fn gross_errors_are_found_in_batches() {
+    for (loss, copies) in [("tukey", 1), ("tukey", 8), ("huber", 8)] {
+        let folder = temporary();
+        let at = folder.path();
+        let recipe = of_parts("first-steps", "fit").set("fit", "robust", json!(loss));
+        let recipe = with_gross_errors(recipe, at, copies);
+        recipe.write(at);
+        let printed = run(at, "whole");
+        assert_eq!(printed.status, 0, "{}", printed.stderr);
+        let whole = calibration(at, "whole", "fit");
+        assert!(whole.outliers.len() > 10 * copies);
+        for rows in [97, 1000] {
+            Variant(recipe.0.clone()).set("touches", "batch_rows", json!(rows)).write(at);
+            let printed = run(at, "batches");
+            assert_eq!(printed.status, 0, "{}", printed.stderr);
+            let found = calibration(at, "batches", "fit");
+            for one in whole.parameters.iter().chain(&whole.artefacts) {
+                let other = found.get(&one.name).expect("the same parameters");
+                let (apart, allowed) = ((one.value - other.value).abs(), 1e-3 * one.standard_uncertainty);
+                assert!(apart <= allowed, "{loss}, {copies}, {rows}: {} is off by {apart:e}", one.name);
+                let apart = (one.standard_uncertainty - other.standard_uncertainty).abs();
+                assert!(apart <= allowed, "{loss}, {copies}, {rows}: u of {} is off by {apart:e}", one.name);
+            }
+            let places = |found: &Calibration| found.outliers.iter().map(|row| row.place()).collect::<Vec<_>>();
+            assert_eq!(places(&found), places(&whole), "{loss}, {copies}, {rows}");
+            assert_eq!((found.fit.observations, found.fit.rank), (whole.fit.observations, whole.fit.rank));
         }
     }
 }
@@ -148,7 +205,6 @@ fn what_needs_all_rows_is_refused() {
         recipe
     };
     for (recipe, said) in [
-        (tango(&[("fit-S2", "robust", json!("tukey"))]), "`robust` needs all rows at once"),
         (tango(&[("fit-S2", "variance", json!("per-stage"))]), "`variance` needs all rows at once"),
         (tango(&[("fit-S2", "on_confounded", json!("drop"))]), "`on_confounded` needs all rows at once"),
         (tango(&[("fit-S2", "per", json!("file"))]), "has groups (`per`)"),

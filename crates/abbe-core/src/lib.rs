@@ -44,7 +44,7 @@ pub use quantities::Quantities;
 pub use registry::{Build, Constructor, Context, EstimateSource, Kind, Origin, Plugin, Provider, Registry};
 pub use stage::{
     Artefact, Batch, Batches, CommandCorrection, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Parts,
-    Validate,
+    QuestionToRows, Validate,
 };
 pub use table::{Cell, ColumnCells, Field, RowsOfTable, SharedCells, Table};
 pub use uncertainty::{CovarianceBlock, EquationUncertainty, PooledRepeatability};
@@ -53,11 +53,11 @@ pub use uncertainty::{CovarianceBlock, EquationUncertainty, PooledRepeatability}
 pub use abbe_results::{
     AskedOfPart, CALIBRATION_FORMAT, Calibration, Certificate, Combination, CombinedAgreement, ConsideredInput,
     Contribution, Correlated, DataRecord, Decision, EquivalentMotionError, Estimated, Figure, FileFormat, Findings,
-    FitReport, Group, GumComparison, Identifiability, ImplausibleValue, JointCoverage, Limit, ModelRecord, MonteCarlo,
-    NamedCovariance, Outlier, ParameterBudget, PartEvidence, PredictedStructure, ResidualSums, Rule, Samples,
-    Selection, SelectionByPrediction, SelectionDirection, SelectionStep, SimulatedParameter, SizeSums, Status,
-    Triangle, UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor, Verdict, WeakDirection, rule_or_name,
-    schema_of_rules,
+    FitReport, Group, GumComparison, Histogram, Identifiability, ImplausibleValue, JointCoverage, Limit, MOST_OUTLIERS,
+    ModelRecord, MonteCarlo, NamedCovariance, Outlier, ParameterBudget, PartEvidence, PredictedStructure, ResidualSums,
+    Rule, Samples, Selection, SelectionByPrediction, SelectionDirection, SelectionStep, SimulatedParameter, SizeSums,
+    Status, Triangle, UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor, Verdict, WeakDirection, WeighedSums,
+    rule_or_name, schema_of_rules,
 };
 pub use abbe_settings::{
     Class, Convergence, Error, EvenSeries, Event, Label, Monitor, Names, PathItem, Place, Quantity, Result, Series,

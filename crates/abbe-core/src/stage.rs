@@ -164,6 +164,11 @@ pub trait Estimate: Send + Sync {
         Err(Error::usage("this estimator needs all rows at once").help("`gauss-newton` estimates from parts"))
     }
 
+    /// The same for parts that can be asked again and again ([`Parts::ask`]). Default: as [`accepts_parts`](Self::accepts_parts).
+    fn accepts_batches(&self) -> Result<()> {
+        self.accepts_parts()
+    }
+
     /// Solves a problem whose rows lie in `parts`, none of which has all; `problem` has the unknowns of all of them and no rows. The
     /// result is that of all rows at once, as far as rounding goes. Default: as [`accepts_parts`](Self::accepts_parts).
     fn estimate_parts(&self, _problem: &Problem, _parts: &dyn Parts) -> Result<Calibration> {
@@ -204,6 +209,9 @@ pub trait Estimate: Send + Sync {
     }
 }
 
+/// A question to some of the rows of a problem.
+pub type QuestionToRows<'a> = dyn Fn(&Problem) -> Result<PartEvidence> + Sync + 'a;
+
 /// The rows of a problem, in parts that are read again each time that something is asked of them.
 pub trait Parts {
     /// How many parts there are.
@@ -211,6 +219,17 @@ pub trait Parts {
 
     /// What a part tells at some values of the unknowns of the whole problem, by their names.
     fn evidence(&self, part: usize, asked: AskedOfPart, at: &BTreeMap<String, f64>) -> Result<Arc<PartEvidence>>;
+
+    /// What all rows answer to a question, asked of problems each of which has some of them and their unknowns; answers are joined in the
+    /// order of the rows. Default: none, where other processes read the rows.
+    fn ask(&self, _question: &QuestionToRows<'_>) -> Result<Option<PartEvidence>> {
+        Ok(None)
+    }
+
+    /// Rows that are chosen at random of all, some ten thousand, as a problem of their own. Default: none, as for [`ask`](Self::ask).
+    fn sample(&self) -> Result<Option<Problem>> {
+        Ok(None)
+    }
 }
 
 /// An estimate with everything that is needed to validate it or to repeat it on other rows.

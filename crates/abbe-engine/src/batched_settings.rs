@@ -18,7 +18,7 @@ impl Prepared {
             Kind::Estimate => {
                 self.check_read_whole(stage, "from")?;
                 self.check_analysed(stage)?;
-                self.batched_of(stage)?.iter().try_for_each(|ingest| self.check_parts(&stage.name, ingest))
+                self.batched_of(stage)?.iter().try_for_each(|ingest| self.check_rows_in_batches(&stage.name, ingest))
             }
             Kind::Validate => {
                 self.check_read_whole(stage, "from")?;

@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use abbe_core::{
     AskedOfPart, Batches, DataRecord, Error, Fit, Identifiability, Kind, KinematicModel, Monitor, PartEvidence, Parts,
-    Problem, Result, free_threads,
+    Problem, QuestionToRows, Result, free_threads,
 };
 use abbe_estimation::{joined_evidence, part_evidence};
 use abbe_recipe::Stage;
@@ -304,6 +304,11 @@ impl Parts for AllBatches<'_> {
         if asked == AskedOfPart::Start {
             return Ok(Arc::new(self.known.part.evidence.clone()));
         }
+        let found = self.ask(&|problem| part_evidence(problem, asked, &values_at(problem, at)))?;
+        found.map(Arc::new).ok_or_else(|| Error::data("there are no rows"))
+    }
+
+    fn ask(&self, question: &QuestionToRows<'_>) -> Result<Option<PartEvidence>> {
         let batched = self.batches.prepared.batched_of(self.stage)?;
         let all: Vec<(&str, usize, bool)> = (batched.iter().enumerate())
             .flat_map(|(index, ingest)| {
@@ -311,16 +316,23 @@ impl Parts for AllBatches<'_> {
             })
             .collect();
         let answer =
-            |(ingest, batch, with_others): &(&str, usize, bool)| self.answer(ingest, *batch, *with_others, asked, at);
+            |(ingest, batch, with_others): &(&str, usize, bool)| self.answer(ingest, *batch, *with_others, question);
         let join = |all: &mut PartEvidence, own: PartEvidence| {
             *all = joined_evidence(all, &own)?;
             Ok(())
         };
         let told = |done: usize| self.monitor.parts_done("batches", done, Some(all.len()));
-        let found = in_order(&all, free_threads(), answer, join, told)?;
-        found.map(Arc::new).ok_or_else(|| Error::data("there are no rows"))
+        in_order(&all, free_threads(), answer, join, told)
+    }
+
+    fn sample(&self) -> Result<Option<Problem>> {
+        let found = self.batches.chosen_problem(self.stage, &self.known.problem, SAMPLE, &self.monitor);
+        found.map(|problem| Some(problem.watched_by(self.monitor.clone())))
     }
 }
+
+/// How many rows of a data set are chosen, about, for an estimate to begin with: no more than a batch has, as a rule.
+const SAMPLE: usize = 5_000;
 
 impl AllBatches<'_> {
     fn answer(
@@ -328,14 +340,13 @@ impl AllBatches<'_> {
         ingest: &str,
         batch: usize,
         with_others: bool,
-        asked: AskedOfPart,
-        at: &BTreeMap<String, f64>,
+        question: &QuestionToRows<'_>,
     ) -> Result<PartEvidence> {
         self.monitor.check()?;
         // Other values of the unknowns would not help.
         let (data, _) = self.batches.with_batch(ingest, batch).map_err(|error| Error { fatal: true, ..error })?;
         let model = self.known.problem.model.clone();
         let problem = self.batches.problem_of(self.stage, ingest, with_others, model, &data, None)?;
-        part_evidence(&problem, asked, &values_at(&problem, at))
+        question(&problem)
     }
 }

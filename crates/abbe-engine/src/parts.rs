@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use abbe_core::{
-    AskedOfPart, Contact, DataRecord, Equations, Error, EstimateSource, Fit, Kind, KinematicModel, KnownInput, Layout,
-    ModelRecord, Monitor, ObservationSet, Observations, ObservationsInfo, Orientation, Parameter, PartEvidence, Parts,
-    Problem, Result, RowBatch, matches,
+    AskedOfPart, Contact, DataRecord, Equations, Error, Estimate, EstimateSource, Fit, Kind, KinematicModel,
+    KnownInput, Layout, ModelRecord, Monitor, ObservationSet, Observations, ObservationsInfo, Orientation, Parameter,
+    PartEvidence, Parts, Problem, Result, RowBatch, matches,
 };
 use abbe_estimation::{joined_evidence, part_evidence};
 use abbe_recipe::Stage;
@@ -178,6 +178,15 @@ pub struct OfParts {
 impl Prepared {
     /// Fails if an estimate cannot be made of rows of an ingest stage in parts, as far as that shows without reading rows.
     pub fn check_parts(&self, estimate: &str, from: &str) -> Result<()> {
+        self.check_rows(estimate, from, |estimator| estimator.accepts_parts())
+    }
+
+    /// The same of rows that are read in batches.
+    pub(crate) fn check_rows_in_batches(&self, estimate: &str, from: &str) -> Result<()> {
+        self.check_rows(estimate, from, |estimator| estimator.accepts_batches())
+    }
+
+    fn check_rows(&self, estimate: &str, from: &str, accepts: impl Fn(&dyn Estimate) -> Result<()>) -> Result<()> {
         let stage = self.recipe_stage(estimate)?;
         let wrong = |error: Error| self.recipe.locate(error.stage(&stage.name));
         let refused = |message: String| Err(wrong(Error::usage(message).help(AT_ONCE)));
@@ -192,7 +201,7 @@ impl Prepared {
             let message = format!("`{key}` of `{estimate}` names an estimate, and a part of its rows knows none");
             return Err(wrong(Error::usage(message).help(AT_ONCE).setting(key)));
         }
-        self.located(stage, self.estimators[&stage.name].accepts_parts())?;
+        self.located(stage, accepts(self.estimators[&stage.name].as_ref()))?;
         let mut is_observed = false;
         for name in stage.reference("observations") {
             let (ingest, artefact) = self.artefact(name)?;

@@ -5,10 +5,13 @@ use std::sync::Arc;
 
 use abbe_core::{DataRow, Dataset, Error, Fit, Monitor, Problem, Result, RowOrigin, free_threads};
 
+use abbe_recipe::Stage;
+
 use crate::batches::InBatches;
 use crate::in_order::in_order;
 use crate::parts::Rows;
 use crate::record::Remark;
+use crate::run::Datasets;
 
 /// How many rows of a data set are chosen, about: enough for a chart.
 const CHOSEN: usize = 5_000;
@@ -25,7 +28,7 @@ impl InBatches<'_> {
         let (mut data, mut remarks) = (self.data.clone(), Vec::new());
         for ingest in self.prepared.batched_of(stage)? {
             let all = self.rows_of(&ingest);
-            let chosen = self.chosen(&ingest, all, monitor)?;
+            let chosen = self.chosen(&ingest, (CHOSEN, all), monitor)?;
             if chosen.rows() < all {
                 let text = format!(
                     "the table of its residuals, the charts and exports of residuals show {} of {all} rows of `{ingest}`, chosen at \
@@ -36,22 +39,36 @@ impl InBatches<'_> {
             }
             data.insert(ingest, Arc::new(chosen));
         }
+        Ok(Some((self.problem_of_chosen(stage, whole, &data)?, remarks)))
+    }
+
+    /// The problem of an estimate on about so many rows of each data set, chosen at random.
+    pub fn chosen_problem(&self, stage: &Stage, whole: &Problem, wanted: usize, monitor: &Monitor) -> Result<Problem> {
+        let mut data = self.data.clone();
+        for ingest in self.prepared.batched_of(stage)? {
+            let chosen = self.chosen(&ingest, (wanted, self.rows_of(&ingest)), monitor)?;
+            data.insert(ingest, Arc::new(chosen));
+        }
+        self.problem_of_chosen(stage, whole, &data)
+    }
+
+    fn problem_of_chosen(&self, stage: &Stage, whole: &Problem, data: &Datasets) -> Result<Problem> {
         let observed = self.prepared.observed(stage, |ingest| match self.prepared.is_in_batches(ingest) {
             true => Some(Rows::Some),
             false => Some(Rows::All),
         })?;
-        let problem = self.prepared.part_problem(stage, whole.model.clone(), &observed, &data, None);
-        Ok(Some((self.prepared.located(stage, problem)?, remarks)))
+        let problem = self.prepared.part_problem(stage, whole.model.clone(), &observed, data, None);
+        self.prepared.located(stage, problem)
     }
 
-    /// The chosen rows of a data set of `all` rows, in their order.
-    fn chosen(&self, ingest: &str, all: usize, monitor: &Monitor) -> Result<Dataset> {
+    /// About so many of all rows of a data set, in their order.
+    fn chosen(&self, ingest: &str, (wanted, all): (usize, usize), monitor: &Monitor) -> Result<Dataset> {
         let batches: Vec<usize> = (0..self.count(ingest)).collect();
         let of_batch = |batch: &usize| {
             monitor.check()?;
             let (data, _) = self.with_batch(ingest, *batch)?;
             let data = &data[ingest];
-            let is_chosen = |row: &DataRow| is_chosen(data.origins[*row], &data.files, all);
+            let is_chosen = |row: &DataRow| is_chosen(data.origins[*row], &data.files, (wanted, all));
             Ok(data.of_rows(&data.row_indices().filter(is_chosen).collect::<Vec<_>>()))
         };
         let found = in_order(&batches, free_threads(), of_batch, Dataset::append, |_| ())?;
@@ -59,13 +76,13 @@ impl InBatches<'_> {
     }
 }
 
-/// Whether a row of a data set of `all` rows is chosen: its file and its place there decide, whatever batch it is in. Files that repeat
+/// Whether a row of a data set is among about `wanted` chosen ones of all: its file and its place there decide, whatever batch it is in. Files that repeat
 /// a programme give other rows of it.
-fn is_chosen(origin: RowOrigin, files: &[PathBuf], all: usize) -> bool {
+fn is_chosen(origin: RowOrigin, files: &[PathBuf], (wanted, all): (usize, usize)) -> bool {
     // The name without its folders: the same rows wherever a recipe lies.
     let name = files[origin.file].file_name().map(|name| name.as_encoded_bytes()).unwrap_or_default();
     let file = name.iter().fold(SEED, |seed, byte| mixed(seed ^ u64::from(*byte)));
-    all <= CHOSEN || mixed(file ^ mixed(origin.row as u64)) % (all as u64) < CHOSEN as u64
+    all <= wanted || mixed(file ^ mixed(origin.row as u64)) % (all as u64) < wanted as u64
 }
 
 /// A number as good as a random one (the finaliser of SplitMix64: Steele, Lea and Flood 2014, OOPSLA).
@@ -85,7 +102,7 @@ mod tests {
         let files = ["monday.csv", "tuesday.csv"].map(PathBuf::from);
         for all in [1, CHOSEN, 3 * CHOSEN, 1_000_000] {
             let origin = |row: usize| RowOrigin { file: row % 2, line: row + 1, row: row / 2 };
-            let chosen: Vec<usize> = (1..=all).filter(|row| is_chosen(origin(*row), &files, all)).collect();
+            let chosen: Vec<usize> = (1..=all).filter(|row| is_chosen(origin(*row), &files, (CHOSEN, all))).collect();
             let allowed = if all <= CHOSEN { 0 } else { CHOSEN / 20 };
             assert!(chosen.len().abs_diff(all.min(CHOSEN)) <= allowed, "{} of {all}", chosen.len());
             // The rows of one file say nothing of those of another one.

@@ -76,6 +76,7 @@ mod solved;
 mod turned_readings;
 mod variance;
 mod wavelength;
+mod weighed_parts;
 mod weighted;
 
 pub use aliasing::aliased;

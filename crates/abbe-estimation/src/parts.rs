@@ -9,9 +9,9 @@ use std::sync::Arc;
 
 use abbe_core::{
     AskedOfPart, EquationIndex, Error, PartEvidence, Parts, Problem, Quantity, ResidualSums, Result, SetIndex,
-    SizeSums, Triangle, Unknown,
+    SizeSums, Triangle, Unknown, WeighedSums,
 };
-use abbe_numerics::{Accumulator, Factor, LeastSquares};
+use abbe_numerics::{Accumulator, Factor, LeastSquares, Weighing};
 
 use crate::contact::rank_point;
 use crate::judgement::Judgement;
@@ -39,23 +39,28 @@ pub fn part_evidence(problem: &Problem, asked: AskedOfPart, at: &[f64]) -> Resul
         }
         AskedOfPart::Rows => Ok(PartEvidence { recorded: recorded()?, ..PartEvidence::default() }),
         AskedOfPart::Solution => {
-            let mut extended = rank_point(problem, at)?.with_values(at);
-            extended.unknowns.extend(problem.considered.unknowns.iter().cloned());
-            let columns = names(&extended.unknowns);
-            // A part need not have rows of every artefact.
-            let (sets, ranges): (Vec<_>, Vec<_>) =
-                problem.sets.iter().zip(problem.equation_ranges()).filter(|(_, range)| range.len() > 0).unzip();
-            let factors = Weighted::new(&extended)?.factors(&extended.start(), None, &ranges)?;
-            let factors = factors.iter().map(|factor| triangle(&columns, factor));
-            let in_contact = sets.iter().map(|set| set.name.clone()).zip(factors).collect();
+            let in_contact = in_contact(problem, at, None)?;
             let residuals = Some(residual_sums(problem, at)?);
             Ok(PartEvidence { in_contact, residuals, ..PartEvidence::default() })
         }
     }
 }
 
+/// The rows of each artefact in nominal contact, with columns for what is considered; those that are kept, with 0 or 1.
+pub(crate) fn in_contact(problem: &Problem, at: &[f64], kept: Option<&[f64]>) -> Result<Vec<(String, Triangle)>> {
+    let mut extended = rank_point(problem, at)?.with_values(at);
+    extended.unknowns.extend(problem.considered.unknowns.iter().cloned());
+    let columns: Vec<String> = extended.unknowns.iter().map(|known| known.name.clone()).collect();
+    // A part need not have rows of every artefact.
+    let (sets, ranges): (Vec<_>, Vec<_>) =
+        problem.sets.iter().zip(problem.equation_ranges()).filter(|(_, range)| range.len() > 0).unzip();
+    let factors = Weighted::new(&extended)?.factors(&extended.start(), kept, &ranges)?;
+    let factors = factors.iter().map(|factor| triangle(&columns, factor));
+    Ok(sets.iter().map(|set| set.name.clone()).zip(factors).collect())
+}
+
 /// What a part without rows tells: nothing of its unknowns.
-fn of_no_rows(asked: AskedOfPart, own: &[String]) -> PartEvidence {
+pub(crate) fn of_no_rows(asked: AskedOfPart, own: &[String]) -> PartEvidence {
     let rows = || Some(triangle(own, &Accumulator::new(own.len(), 0).finish()));
     match asked {
         AskedOfPart::Start => PartEvidence { recorded: rows(), nominal: rows(), ..PartEvidence::default() },
@@ -65,7 +70,7 @@ fn of_no_rows(asked: AskedOfPart, own: &[String]) -> PartEvidence {
 }
 
 /// Refuses rows that depend on rows of other parts.
-fn check(problem: &Problem) -> Result<()> {
+pub(crate) fn check(problem: &Problem) -> Result<()> {
     let refused = |set: usize, what: &str| {
         let message = format!("{what}, and no part has all of them");
         Err(Error::usage(message).help("estimate all rows at once: `abbe run`").stage(&problem.sets[set].name))
@@ -113,6 +118,15 @@ pub fn joined_evidence(one: &PartEvidence, other: &PartEvidence) -> Result<PartE
         nominal: both(&one.nominal, &other.nominal)?,
         in_contact,
         residuals,
+        weighed: match (&one.weighed, &other.weighed) {
+            (Some(one), Some(other)) => {
+                let mut both = one.clone();
+                both.join(other);
+                Some(both)
+            }
+            (None, None) => None,
+            _ => return Err(nothing()),
+        },
     })
 }
 
@@ -143,7 +157,7 @@ fn wide_lines(places: &BTreeMap<&str, usize>, count: usize, triangle: &Triangle)
 }
 
 /// A factor with the names of its columns.
-fn triangle(columns: &[String], factor: &Factor) -> Triangle {
+pub(crate) fn triangle(columns: &[String], factor: &Factor) -> Triangle {
     let lines = factor.lines();
     let values = lines.iter().enumerate().flat_map(|(zeros, line)| line[zeros..].iter().copied());
     Triangle { columns: columns.to_vec(), values: values.collect(), rows: factor.rows() }
@@ -183,6 +197,15 @@ pub(crate) struct SolutionOfParts {
     /// All rows there.
     pub extended: Factor,
     pub residuals: ResidualSums,
+    /// Of a robust estimate.
+    pub kept: Option<KeptRows>,
+}
+
+/// What robust weights have kept of all rows.
+pub(crate) struct KeptRows {
+    /// The rows that are kept where rank is judged.
+    pub nominal: Factor,
+    pub sums: WeighedSums,
 }
 
 impl<'a> RowsInParts<'a> {
@@ -191,6 +214,14 @@ impl<'a> RowsInParts<'a> {
         let all = problem.unknowns.iter().chain(&problem.considered.unknowns);
         let columns = all.enumerate().map(|(column, unknown)| (unknown.name.as_str(), column)).collect();
         Self { problem, parts, start: problem.start(), columns }
+    }
+
+    pub(crate) fn parts(&self) -> &'a dyn Parts {
+        self.parts
+    }
+
+    pub(crate) fn columns(&self) -> &BTreeMap<&'a str, usize> {
+        &self.columns
     }
 
     /// The problem, which has no rows.
@@ -205,8 +236,11 @@ impl<'a> RowsInParts<'a> {
         self.joined(count, all.iter().map(|evidence| evidence.nominal.as_ref()))
     }
 
-    pub(crate) fn at_solution(&self, x: &[f64]) -> Result<SolutionOfParts> {
-        let all = self.all(AskedOfPart::Solution, x)?;
+    pub(crate) fn at_solution(&self, x: &[f64], weighing: Option<&Weighing>) -> Result<SolutionOfParts> {
+        let mut all = match weighing {
+            Some(weighing) => vec![Arc::new(self.weighed_solution(x, weighing)?)],
+            None => self.all(AskedOfPart::Solution, x)?,
+        };
         let count = self.problem.unknowns.len() + self.problem.considered.unknowns.len();
         let of_set = |index: SetIndex| {
             let name = &self.problem.sets[index].name;
@@ -219,7 +253,14 @@ impl<'a> RowsInParts<'a> {
         let sums = all.iter().map(|part| part.residuals.as_ref().ok_or_else(nothing));
         let residuals =
             sums.collect::<Result<Vec<_>>>()?.into_iter().fold(ResidualSums::default(), |all, own| all.with(own));
-        Ok(SolutionOfParts { of_sets, extended, residuals })
+        let kept = match (weighing, all.pop()) {
+            (Some(_), Some(only)) => Some(KeptRows {
+                nominal: self.joined(self.problem.unknowns.len(), std::iter::once(only.nominal.as_ref()))?,
+                sums: only.weighed.clone().ok_or_else(nothing)?,
+            }),
+            _ => None,
+        };
+        Ok(SolutionOfParts { of_sets, extended, residuals, kept })
     }
 
     fn all(&self, asked: AskedOfPart, at: &[f64]) -> Result<Vec<Arc<PartEvidence>>> {
@@ -229,7 +270,11 @@ impl<'a> RowsInParts<'a> {
     }
 
     /// The factor of all rows that some triangles are of.
-    fn joined<'b>(&self, count: usize, triangles: impl Iterator<Item = Option<&'b Triangle>>) -> Result<Factor> {
+    pub(crate) fn joined<'b>(
+        &self,
+        count: usize,
+        triangles: impl Iterator<Item = Option<&'b Triangle>>,
+    ) -> Result<Factor> {
         let (mut accumulator, mut rows) = (Accumulator::new(count, count + 1), 0);
         for triangle in triangles {
             let triangle = triangle.ok_or_else(nothing)?;

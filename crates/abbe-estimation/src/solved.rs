@@ -3,10 +3,9 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    Calibration, EquivalentMotionError, Error, FitReport, Identifiability, Problem, Result, SetIndex, Termination,
-    VarianceFactor,
+    Calibration, EquivalentMotionError, Error, FitReport, Identifiability, Problem, Result, Termination, VarianceFactor,
 };
-use abbe_numerics::{Directions, Factor, Robust, RobustReport};
+use abbe_numerics::{Directions, Factor, Robust, RobustReport, Weighing, counted_scatter_factor};
 
 use crate::calibration::calibration;
 use crate::contact::{is_judged_as_recorded, rank_point};
@@ -58,14 +57,19 @@ pub struct UncertaintyEvaluation {
 
 /// The error where the rows that robust weights keep do not determine what all rows do.
 fn left_out(problem: &Problem, kept: &[f64], error: &Error) -> Error {
-    let mut of_set: BTreeMap<SetIndex, (usize, usize)> = BTreeMap::new();
+    let mut of_set: BTreeMap<String, (usize, usize)> = BTreeMap::new();
     for ((set, _), weight) in problem.equation_rows().into_iter().zip(kept) {
-        let (out, all) = of_set.entry(set).or_default();
+        let (out, all) = of_set.entry(problem.sets[set].name.clone()).or_default();
         *out += usize::from(*weight == 0.0);
         *all += 1;
     }
-    let sets = of_set.into_iter().filter(|(_, (out, _))| *out > 0);
-    let named = sets.map(|(set, (out, all))| format!("{out} of {all} equations of {}", problem.sets[set].name));
+    sets_left_out(&of_set, error)
+}
+
+/// The same by how many equations of each artefact stage are left out, and how many there are.
+fn sets_left_out(of_set: &BTreeMap<String, (usize, usize)>, error: &Error) -> Error {
+    let sets = of_set.iter().filter(|(_, (out, _))| *out > 0);
+    let named = sets.map(|(set, (out, all))| format!("{out} of {all} equations of {set}"));
     let named: Vec<String> = named.collect();
     if named.is_empty() {
         return error.clone();
@@ -165,19 +169,43 @@ impl UncertaintyEvaluation {
 
     /// Makes the calibration from a solution of rows in parts. Parts tell no motion errors with the same effect on the tip.
     ///
-    /// Fails for a direction that is lost at the solution, and where no degrees of freedom are left, as for rows at once.
-    pub fn calibration_of_parts(&self, rows: &RowsInParts<'_>, solved: EstimatorSolution) -> Result<Calibration> {
+    /// `weighing` is how a robust estimate weighs them. Fails for a direction that is lost at the solution, and where no degrees of freedom are left, as for rows at once.
+    pub fn calibration_of_parts(
+        &self,
+        rows: &RowsInParts<'_>,
+        solved: EstimatorSolution,
+        weighing: Option<&Weighing>,
+    ) -> Result<Calibration> {
         let EstimatorSolution { x, iterations, last_step, gradient_cosine, .. } = solved;
         let problem = rows.problem();
-        let SolutionOfParts { of_sets, extended, residuals } = rows.at_solution(&x)?;
+        let SolutionOfParts { of_sets, extended, residuals, kept } = rows.at_solution(&x, weighing)?;
         let own = |factor: &Factor| factor.without_unknowns(|column| column >= problem.unknowns.len());
         let (factor, of_sets) = (own(&extended), of_sets.iter().map(own).collect::<Vec<Factor>>());
-        let found = self.identifiability(problem, &factor);
+        let mut found = self.identifiability(problem, &factor);
+        let left_out = kept.as_ref().filter(|kept| kept.sums.left_out.values().any(|(out, _)| *out > 0));
+        if let Some(kept) = left_out.filter(|_| found.rank == problem.unknowns.len()) {
+            let without = identifiability(problem, &kept.nominal, self.rank_tolerance);
+            if without.rank < found.rank {
+                found = without;
+            }
+        }
         let rank = found.rank;
         if rank < problem.unknowns.len() {
-            return Err(confounded(&found));
+            let error = confounded(&found);
+            return Err(left_out.map_or_else(|| error.clone(), |kept| sets_left_out(&kept.sums.left_out, &error)));
         }
-        let statistics = ResidualStatistics::from((&residuals, rank));
+        let mut statistics = ResidualStatistics::from((&residuals, rank));
+        let sums = kept.map(|kept| kept.sums).unwrap_or_default();
+        if weighing.is_some() {
+            statistics.sigma *= counted_scatter_factor(&sums.used_slopes.counted(), rank as f64);
+        }
+        if sums.found > sums.outliers.len() {
+            let (listed, all) = (sums.outliers.len(), sums.found);
+            tracing::warn!(
+                "{}: there are {all} outliers; the {listed} with the largest residuals are listed",
+                problem.name
+            );
+        }
         let scales = self.scales(&statistics, None);
         let propagation =
             Propagation::of_factors(problem, &factor.covariance_root(rank), (&of_sets, &extended), scales);
@@ -189,7 +217,7 @@ impl UncertaintyEvaluation {
             variance: Vec::new(),
         };
         let fit = self.report(problem, found, &statistics, (iterations, last_step, gradient_cosine), told);
-        let mut calibration = calibration(problem, &x, propagation.covariance(problem), Vec::new(), fit);
+        let mut calibration = calibration(problem, &x, propagation.covariance(problem), sums.outliers, fit);
         calibration.uncertainty = self.explained.then(|| propagation.budget(problem, self.coverage_probability));
         Ok(calibration)
     }
@@ -293,7 +321,7 @@ impl UncertaintyEvaluation {
         found.weakest = weakest(problem, &factor.spectrum(), found.rank);
         found.remarks.extend(ill_conditioned(problem, &factor, self.rank_tolerance));
         if found.rank == found.unknowns {
-            let SolutionOfParts { of_sets, extended, .. } = rows.at_solution(&problem.start())?;
+            let SolutionOfParts { of_sets, extended, .. } = rows.at_solution(&problem.start(), None)?;
             let own = |factor: &Factor| factor.without_unknowns(|column| column >= problem.unknowns.len());
             let of_sets: Vec<Factor> = of_sets.iter().map(own).collect();
             let (root, scale) = (factor.covariance_root(found.rank), AposterioriFactors::Common(1.0, f64::INFINITY));

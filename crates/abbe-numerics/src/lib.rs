@@ -62,6 +62,7 @@ mod factor;
 mod gauss_newton;
 mod lower;
 mod monte_carlo;
+mod passes;
 mod regression;
 mod reweighting;
 mod robust;
@@ -85,8 +86,9 @@ pub use lower::Lower;
 pub use monte_carlo::{
     AdaptiveProcedure, Agreement, Interval, Trials, compare_with_gum, least_trials, numerical_tolerance,
 };
+pub use passes::{HuberPoint, InPasses, RobustPass, RowWeight, Weighing, huber_point, solve_in_passes};
 pub use regression::{Influence, SelectionStep, StepwiseDirection, StepwiseSelection};
-pub use robust::{Loss, Robust, RobustReport, scatter_factor};
+pub use robust::{Loss, Robust, RobustReport, counted_scatter_factor, scatter_factor};
 pub use sampling::Generator;
 pub use selection::{Selection, UnestimableUnknown};
 pub use significance::{f_test, two_sided_normal};

@@ -174,6 +174,17 @@ pub struct RobustReport {
 /// leave of exact data is no noise, and would leave out rows until the others determine nothing.
 const LEAST_SCALE: f64 = 0.1;
 
+/// The same of absolute sizes above zero, ascending, each with its number of rows.
+pub(crate) fn counted_scale(sizes: &[(f64, f64)]) -> f64 {
+    let middle = (sizes.iter().map(|(_, count)| count).sum::<f64>() / 2.0).floor();
+    let mut before = 0.0;
+    let median = sizes.iter().find(|(_, count)| {
+        before += count;
+        before > middle
+    });
+    median.map_or(LEAST_SCALE, |(size, _)| (1.4826 * size).max(LEAST_SCALE))
+}
+
 /// Robust scale of studentised residuals: 1.4826 times the median absolute value.
 pub(crate) fn scale(sizes: &[f64]) -> f64 {
     let mut sizes: Vec<f64> = sizes.iter().map(|size| size.abs()).filter(|size| *size > 0.0).collect();
@@ -192,12 +203,21 @@ const SCALE_CUTOFF: f64 = 1.547_645;
 /// Rousseeuw & Yohai 1984). It is that of normal noise where there are no gross errors, stays bounded as long as fewer than half of
 /// the rows are wrong, and changes smoothly with every residual, as a median does not.
 pub(crate) fn m_scale(sizes: &[f64]) -> f64 {
-    let sizes: Vec<f64> = sizes.iter().map(|size| size.abs()).filter(|size| *size > 0.0).collect();
+    let counted: Vec<(f64, f64)> = sizes.iter().map(|size| (size.abs(), 1.0)).filter(|(size, _)| *size > 0.0).collect();
+    m_scale_from(scale(sizes), &counted)
+}
+
+/// The same of absolute sizes above zero, ascending, each with its number of rows.
+pub(crate) fn counted_m_scale(sizes: &[(f64, f64)]) -> f64 {
+    m_scale_from(counted_scale(sizes), sizes)
+}
+
+fn m_scale_from(mut spread: f64, sizes: &[(f64, f64)]) -> f64 {
     let loss = |t: f64| 1.0 - (1.0 - (t / SCALE_CUTOFF).powi(2)).max(0.0).powi(3);
-    let mut spread = scale(&sizes);
+    let rows = sizes.iter().map(|(_, count)| count).sum::<f64>().max(1.0);
     // Huber's fixed point: it rises or falls towards the one solution.
     for _ in 0..200 {
-        let mean = sizes.iter().map(|size| loss(size / spread)).sum::<f64>() / sizes.len().max(1) as f64;
+        let mean = sizes.iter().map(|(size, count)| count * loss(size / spread)).sum::<f64>() / rows;
         let next = (spread * (2.0 * mean).sqrt()).max(LEAST_SCALE);
         let settled = (next / spread - 1.0).abs() < 1e-10;
         spread = next;
@@ -218,17 +238,30 @@ pub(crate) fn m_scale(sizes: &[f64]) -> f64 {
 /// Where so many rows have lost their slope that there is no g, or one beyond 100, the factor is that of this g: the
 /// uncertainties are large, as they are then.
 pub fn scatter_factor(slopes: &[f64], determined: f64) -> f64 {
-    let count = slopes.len() as f64;
+    let counted: Vec<(f64, f64)> = slopes.iter().map(|slope| (*slope, 1.0)).collect();
+    counted_scatter_factor(&counted, determined)
+}
+
+/// The same of slopes each of which so many rows have, about.
+///
+/// ```
+/// use abbe_numerics::{counted_scatter_factor, scatter_factor};
+///
+/// let all = scatter_factor(&[1.0, 0.5, 0.5, -0.2, 1.0], 1.0);
+/// assert!((counted_scatter_factor(&[(-0.2, 1.0), (0.5, 2.0), (1.0, 2.0)], 1.0) - all).abs() < 1e-12);
+/// ```
+pub fn counted_scatter_factor(slopes: &[(f64, f64)], determined: f64) -> f64 {
+    let count = slopes.iter().map(|(_, count)| count).sum::<f64>();
     let share = determined / count;
     if slopes.is_empty() || share >= 1.0 {
         return 1.0;
     }
-    let mean = |of: &dyn Fn(f64) -> f64| slopes.iter().map(|&slope| of(slope)).sum::<f64>() / count;
+    let mean = |of: &dyn Fn(f64) -> f64| slopes.iter().map(|&(slope, rows)| rows * of(slope)).sum::<f64>() / count;
     if share < 1e-9 {
         return 1.0 / mean(&|slope| slope).max(1.0 / LARGEST_G);
     }
     // The mean is a convex function of g up to the first pole, so that Newton's steps from 0 come from one side.
-    let least = slopes.iter().copied().fold(0.0, f64::min);
+    let least = slopes.iter().map(|(slope, _)| *slope).fold(0.0, f64::min);
     let last = if least < 0.0 { (-0.99 / least).min(LARGEST_G) } else { LARGEST_G };
     let mut g = 0.0;
     for _ in 0..100 {
@@ -253,16 +286,25 @@ const LARGEST_G: f64 = 100.0;
 /// Standard deviations of residuals in units of the noise, given statistical weights and `g_i = j_i (J^T W J)^-1 j_i^T`; none for
 /// rows that the fit follows whatever they say.
 pub(crate) fn deviations(weights: &[f64], leverages: &[f64]) -> Vec<Option<f64>> {
-    let variance = |(weight, leverage): (&f64, &f64)| 1.0 + leverage * (1.0 - 2.0 * weight);
-    let rows = weights.iter().zip(leverages).map(variance);
-    rows.map(|variance| (variance > 1e-6).then(|| variance.sqrt())).collect()
+    weights.iter().zip(leverages).map(|(weight, leverage)| deviation(*weight, *leverage)).collect()
+}
+
+/// That of one row.
+pub(crate) fn deviation(weight: f64, leverage: f64) -> Option<f64> {
+    let variance = 1.0 + leverage * (1.0 - 2.0 * weight);
+    (variance > 1e-6).then(|| variance.sqrt())
 }
 
 /// Variance of what the rows without each row say of it, in units of the noise, given statistical weights and
 /// `g_i = j_i (J^T W J)^-1 j_i^T`; none for rows that the fit follows whatever they say.
 pub(crate) fn prediction_variances(weights: &[f64], leverages: &[f64]) -> Vec<Option<f64>> {
-    let rows = weights.iter().zip(leverages).map(|(weight, leverage)| (1.0 - weight * leverage, leverage));
-    rows.map(|(left, leverage)| (left > 1e-6).then(|| leverage / left)).collect()
+    weights.iter().zip(leverages).map(|(weight, leverage)| prediction_variance(*weight, *leverage)).collect()
+}
+
+/// That of one row.
+pub(crate) fn prediction_variance(weight: f64, leverage: f64) -> Option<f64> {
+    let left = 1.0 - weight * leverage;
+    (left > 1e-6).then(|| leverage / left)
 }
 
 /// Residuals over their own standard deviations. Rows that the fit follows whatever they say have no size.

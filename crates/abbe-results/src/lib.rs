@@ -11,6 +11,7 @@ mod identity;
 mod limit;
 mod part;
 mod verdict;
+mod weighed;
 
 pub use budget::{
     Contribution, Correlated, GumComparison, JointCoverage, MonteCarlo, ParameterBudget, Samples, SimulatedParameter,
@@ -29,3 +30,4 @@ pub use identity::Certificate;
 pub use limit::{Limit, rule_or_name, schema_of_rules};
 pub use part::{AskedOfPart, PartEvidence, ResidualSums, SizeSums, Triangle};
 pub use verdict::{Figure, Findings, VERDICTS_FORMAT, Verdict};
+pub use weighed::{Histogram, MOST_OUTLIERS, WeighedSums};

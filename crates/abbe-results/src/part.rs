@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::weighed::WeighedSums;
+
 /// The upper triangle of the QR decomposition of rows `[J | r]`: all that least squares needs of them.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Triangle {
@@ -113,6 +115,9 @@ pub struct PartEvidence {
     /// The residuals; only at the solution.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub residuals: Option<ResidualSums>,
+    /// What robust weights make of the rows; only where rows were weighed.
+    #[serde(skip)]
+    pub weighed: Option<WeighedSums>,
 }
 
 #[cfg(test)]

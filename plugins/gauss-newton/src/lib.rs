@@ -457,6 +457,10 @@ impl Estimate for GaussNewton {
         self.check_settings_for_parts()
     }
 
+    fn accepts_batches(&self) -> Result<()> {
+        self.check_settings_for_batches()
+    }
+
     fn estimate_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Calibration> {
         self.of_parts(problem, parts)
     }

@@ -1,7 +1,10 @@
 //! Proves that robust weights find planted gross errors, also on one side and where directions are lost, give the
 //! estimate of the clean rows, and report what the a-posteriori sigma is made of.
 
-use abbe_numerics::{End, Options, RestrictedProblem, Robust, Solution, scatter_factor, solve};
+use abbe_numerics::{
+    Accumulator, End, HuberPoint, InPasses, Options, RestrictedProblem, Robust, RobustPass, RowWeight, Solution,
+    Weighing, scatter_factor, solve, solve_in_passes,
+};
 
 use crate::problems::{Given, Linear, Random, given, norm};
 
@@ -275,4 +278,78 @@ fn the_order_of_rows_does_not_matter() {
             assert!((value / first - 1.0).abs() < 1e-9, "{value} {first}");
         }
     }
+}
+
+/// Rows that are gone through in passes; `passes` counts them.
+struct Passing<'a> {
+    problem: &'a Linear,
+    passes: std::cell::Cell<usize>,
+}
+
+impl InPasses for Passing<'_> {
+    type Error = std::convert::Infallible;
+
+    fn is_final(&self, _: &Self::Error) -> bool {
+        true
+    }
+
+    fn pass(&self, x: &[f64], weighing: &Weighing) -> Result<RobustPass, Self::Error> {
+        self.passes.set(self.passes.get() + 1);
+        let Linear { rows, residuals } = self.problem;
+        let residuals: Vec<f64> = self.problem.apply(x).iter().zip(residuals).map(|(by, r)| by + r).collect();
+        let weights = weighing.rows(x, &residuals, &rows.concat(), &vec![false; rows.len()]);
+        let mut accumulator = Accumulator::new(x.len(), rows.len());
+        for ((line, residual), row) in rows.iter().zip(&residuals).zip(&weights) {
+            accumulator.push(line, *residual, row.weight.sqrt());
+        }
+        let sum = |of: &dyn Fn(&RowWeight) -> f64| weights.iter().map(of).sum();
+        let mut sizes: Vec<(f64, f64)> = weights.iter().map(|row| (row.size.abs(), 1.0)).collect();
+        sizes.sort_by(|one, other| one.0.total_cmp(&other.0));
+        Ok(RobustPass {
+            factor: accumulator.finish(),
+            objective: sum(&|row| row.loss),
+            weights: sum(&|row| row.weight),
+            slopes: sum(&|row| row.slope),
+            sizes,
+        })
+    }
+}
+
+/// Passes that hold no row find what rounds of weights find that hold all, from the start and from what some of the rows say.
+#[test]
+fn passes_find_what_rounds_find() {
+    let (mut largest, mut most, mut all) = (0.0_f64, 0, 0);
+    for seed in 0..60 {
+        let rows = [200, 600, 2000][seed as usize % 3];
+        for (every, least) in [(1000, 0.0), (9, 20.0), (7, 4.0), (4, 30.0)] {
+            let Planted { all: problem, clean, .. } = planted(seed, rows, every, least);
+            for robust in [Robust::TUKEY, Robust::HUBER] {
+                let rounds = estimate(&problem, Some(robust));
+                if rounds.end != End::Converged {
+                    continue;
+                }
+                let some = Linear {
+                    rows: problem.rows[..rows / 2].to_vec(),
+                    residuals: problem.residuals[..rows / 2].to_vec(),
+                };
+                for start in [estimate(&problem, None), estimate(&some, Some(robust))] {
+                    let passing = Passing { problem: &problem, passes: Default::default() };
+                    let start = HuberPoint { x: start.x, root: None, scale: f64::INFINITY };
+                    let Ok((found, _)) = solve_in_passes(&passing, start, robust, &Options::USUAL);
+                    assert_eq!(found.end, End::Converged, "{seed} {rows} {every} {robust:?}");
+                    let off = apart(&found.x, &rounds.x, &clean);
+                    if off > 2e-3 {
+                        println!(
+                            "{seed} {rows} {every} {least} {robust:?}: {off:.1e}, {} passes",
+                            passing.passes.get()
+                        );
+                    }
+                    (largest, most, all) =
+                        (largest.max(off), most.max(passing.passes.get()), all + passing.passes.get());
+                }
+            }
+        }
+    }
+    println!("{largest:.1e} {most} {all}");
+    assert!(largest < 2e-3, "{largest:.1e}");
 }
