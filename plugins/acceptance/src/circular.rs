@@ -1,6 +1,6 @@
 //! Validator plugin `circular`: circular tests in the manner of ISO 230-4.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 use std::fmt::Write as _;
 
 use abbe_core::{
@@ -13,8 +13,9 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::both_directions::{place_of_angle, smaller_direction};
+use crate::circle_positions::contradicted;
 use crate::common::{
-    Acceptance, Judge, Key, Limits, Sheet, check_limits, directions, doubted, faults, finite, names, run_name,
+    Acceptance, Judge, Key, Limits, Sheet, against, check_limits, directions, doubted, faults, finite, names, run_name,
     too_quiet, undecided,
 };
 
@@ -176,15 +177,23 @@ impl Circular {
 
     /// A remark on directions that the order of angles contradicts.
     fn turned(data: &Dataset, angles: &[f64], run: &str) -> Result<Option<String>> {
-        let directions = directions(data)?;
-        let steps = angles.windows(2).zip(directions.windows(2)).filter(|(_, ways)| ways[0] == ways[1]);
-        let turns = |pair: &[f64]| (pair[1] - pair[0] + PI).rem_euclid(TAU) - PI;
-        let against = |(pair, ways): &(&[f64], &[bool])| turns(pair) != 0.0 && (turns(pair) > 0.0) != ways[0];
-        let (all, count) = (steps.clone().count(), steps.filter(against).count());
+        let (count, all) = against(angles, &directions(data)?);
         Ok((2 * count > all).then(|| {
             format!(
                 "{run}: the angles run against `direction` in most rows: are cw and ccw exchanged, or is the sign of the angle wrong?"
             )
+        }))
+    }
+
+    /// A sentence on positions beside angles and readings that contradict the angles or the radius.
+    fn beside(&self, data: &Dataset, angles: &[f64]) -> Result<Option<String>> {
+        if self.scanned.is_some() {
+            return Ok(None);
+        }
+        let ways = directions(data)?;
+        Ok([true, false].into_iter().find_map(|way| {
+            let rows: Vec<usize> = (0..angles.len()).filter(|row| ways[*row] == way).collect();
+            contradicted(data, &self.angle, angles, &rows, self.radius_mm)
         }))
     }
 
@@ -202,6 +211,7 @@ impl Circular {
         faults.extend(traces.iter().flatten().find_map(too_many_turns));
         let places: Vec<usize> = angles.iter().map(|angle| place_of_angle(*angle)).collect();
         faults.extend(smaller_direction(&[&um], &directions(data)?, &places, "um"));
+        faults.extend(self.beside(data, angles)?);
         findings.remarks.extend(faults.iter().map(|fault| format!("{run}: {fault}")));
         let mut sheet = Sheet::new(&run, &self.limits);
         for (trace, way) in traces.iter().zip([true, false]) {
