@@ -322,3 +322,71 @@ fn told(trace: &Trace, run: &str, way: &str) -> Vec<String> {
     }
     told
 }
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+
+    use abbe_core::{Column, ColumnHeader, RowOrigin, Values};
+
+    use super::*;
+
+    /// Both directions of a circle of 150 mm in a plane, of which `change` changes the two positions.
+    fn data(plane: [&str; 2], change: fn([f64; 2]) -> [f64; 2]) -> Dataset {
+        let row = |row: usize| {
+            let way = if row < 360 { 1.0 } else { -1.0 };
+            let angle = way * (row % 360) as f64 * PI / 180.0;
+            let at = change([150.0 * angle.cos() + 20.0, 150.0 * angle.sin() - 70.0]);
+            [angle, at[0], at[1], 3e-3 * (2.0 * angle).sin() + 1e-3 * way + 1e-5 * (17.0 * angle).cos(), way]
+        };
+        let rows: Vec<[f64; 5]> = (0..720).map(row).collect();
+        let numbers = |header: &str, place: usize| Column {
+            header: ColumnHeader::parse(header),
+            values: Values::Numbers(rows.iter().map(|row| row[place]).collect()),
+        };
+        let ways = Values::Labels(rows.iter().map(|row| row[4].to_string()).collect());
+        Dataset {
+            columns: vec![
+                numbers("angle_deg", 0),
+                numbers(plane[0], 1),
+                numbers(plane[1], 2),
+                numbers("reading_um", 3),
+                Column { header: ColumnHeader::parse("direction"), values: ways },
+            ],
+            origins: (0..rows.len()).map(|row| RowOrigin { file: 0, line: row + 2, row: row + 1 }).collect(),
+            files: vec!["circle.csv".into()],
+            ..Dataset::default()
+        }
+    }
+
+    /// The remarks, and whether all limits are decided.
+    fn judged(radius: f64, data: &Dataset) -> (String, bool) {
+        let settings = json!({ "radius_mm": radius, "limits": { "G_um": 100, "G_b_um": 100, "H_um": 100 } });
+        let circular: Circular = abbe_core::from_settings(&settings).expect("settings");
+        let found = circular.findings(&[data]).expect("findings");
+        let limited = || found.figures.iter().filter(|figure| figure.limit.is_some());
+        assert!(limited().count() >= 3);
+        (found.remarks.join("\n"), limited().all(|figure| figure.inconclusive.is_none()))
+    }
+
+    #[test]
+    fn positions_that_contradict_angles_or_the_radius_decide_nothing() {
+        for plane in [["X_mm", "Y_mm"], ["Y_mm", "Z_mm"], ["Z_mm", "X_mm"]] {
+            let (said, is_decided) = judged(150.0, &data(plane, |at| at));
+            assert!(is_decided && !said.contains("the positions"), "{plane:?}: {said}");
+            let [one, other] = plane;
+            let wrong: [(String, fn([f64; 2]) -> [f64; 2]); 4] = [
+                (format!("the sign of `{other}`"), |at| [at[0], -at[1]]),
+                (format!("`{one}` times 2.0000"), |at| [0.5 * at[0], at[1]]),
+                (format!("`{one}` and `{other}` exchanged"), |at| [at[1], at[0]]),
+                ("are on a circle of 5.906 mm".to_owned(), |at| at.map(|own| own / 25.4)),
+            ];
+            for (words, change) in wrong {
+                let (said, is_decided) = judged(150.0, &data(plane, change));
+                assert!(!is_decided && said.contains(&words), "{plane:?} {words}: {said}");
+            }
+            let (said, is_decided) = judged(100.0, &data(plane, |at| at));
+            assert!(!is_decided && said.contains("`radius_mm` is 100"), "{plane:?}: {said}");
+        }
+    }
+}

@@ -51,13 +51,13 @@ pub struct Uncertainty {
     /// Lateral misalignment of the beam over the whole travel.
     misalignment_mm: f64,
     /// Coefficient of expansion of the machine.
-    #[schemars(range(max = 1000))]
+    #[schemars(range(min = 0, max = 1000))]
     alpha_um_per_m_K: f64,
     /// Range of the temperature.
-    #[schemars(range(max = 200))]
+    #[schemars(range(min = 0, max = 200))]
     temperature_range_K: f64,
     /// Range of the coefficient of expansion.
-    #[schemars(range(max = 1000))]
+    #[schemars(range(min = 0, max = 1000))]
     alpha_range_um_per_m_K: f64,
     /// How far the temperature is from 20 °C.
     #[schemars(range(min = -100, max = 100))]
