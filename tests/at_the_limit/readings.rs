@@ -242,7 +242,7 @@ fn rotary_interpolation() {
             }
         }
         tables.scene(json!({
-            "axis": "C", "direction": [0, 0, 1], "ball_from_axis_mm": [110, 0, 60], "standard_uncertainty_um": u,
+            "axis": "C", "direction": [0, 0, 1], "ball_from_axis_mm": [110, 0, 60], "reverse": true, "standard_uncertainty_um": u,
         }))
     };
     let keys = ["radial_um", "tangential_um", "axial_um", "x_um", "y_um", "z_um"].map(|key| format!("limits.{key}"));

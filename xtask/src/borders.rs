@@ -65,6 +65,7 @@ const CRATES: [Border; 31] = [
             "abbe-core",
             "abbe-estimation",
             "abbe-files",
+            "abbe-geometry",
             "abbe-measuring",
             "abbe-planning",
             "abbe-recipe",

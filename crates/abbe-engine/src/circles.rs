@@ -3,9 +3,13 @@
 use std::f64::consts::{PI, TAU};
 
 use abbe_core::{DataRow, Dataset, Quantity};
+use nalgebra::Vector2;
 
 /// Fewest rows of a circle.
 const ROWS: usize = 12;
+
+/// Most rows that the circle is fitted to.
+const FITTED: usize = 400;
 
 /// Positions are a circle if their distances from its centre differ by less than this part of its radius.
 const ROUND: f64 = 0.02;
@@ -84,24 +88,16 @@ fn offset(points: &[[f64; 3]]) -> Option<f64> {
     (is_one && turned > COVERED.to_radians() && mean.abs() > SAME.to_radians()).then_some(mean)
 }
 
-/// Centre and radius of the circle of least squares (Kåsa 1976).
+/// Centre and radius of the circle of least squares, by some of many points.
 fn circle(points: &[[f64; 3]]) -> Option<([f64; 2], f64)> {
     if points.len() < ROWS {
         return None;
     }
-    let count = points.len() as f64;
-    let mean = [1, 2].map(|axis| points.iter().map(|point| point[axis]).sum::<f64>() / count);
-    let moment = |u: i32, v: i32| -> f64 {
-        points.iter().map(|point| (point[1] - mean[0]).powi(u) * (point[2] - mean[1]).powi(v)).sum::<f64>() / count
-    };
-    let [uu, uv, vv] = [moment(2, 0), moment(1, 1), moment(0, 2)];
-    let right = [0.5 * (moment(3, 0) + moment(1, 2)), 0.5 * (moment(0, 3) + moment(2, 1))];
-    let determinant = uu * vv - uv * uv;
-    if determinant < 1e-9 * (uu + vv).powi(2) || determinant.is_nan() {
-        return None;
-    }
-    let [u, v] = [(right[0] * vv - right[1] * uv) / determinant, (right[1] * uu - right[0] * uv) / determinant];
-    Some(([mean[0] + u, mean[1] + v], (u * u + v * v + uu + vv).sqrt()))
+    let step = points.len().div_ceil(FITTED);
+    let places: Vec<Vector2<f64>> =
+        points.iter().step_by(step).map(|[_, one, other]| Vector2::new(*one, *other)).collect();
+    let found = abbe_geometry::circle(&places).ok()?.shape;
+    Some((found.centre.into(), found.radius))
 }
 
 /// The same angle from -pi to pi.

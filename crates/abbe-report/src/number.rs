@@ -18,6 +18,18 @@ pub fn with_uncertainty(value: f64, uncertainty: f64) -> String {
     format!("{value:.3e} ± {uncertainty:.1e}")
 }
 
+/// A value beside its limit, with its uncertainty: as [`with_uncertainty`], but a value that this rounds to zero although it is a part of
+/// the limit that is told keeps its digits.
+pub fn beside_limit(value: f64, uncertainty: f64, limit: f64) -> String {
+    let text = with_uncertainty(value, uncertainty);
+    let (own, rest) = text.split_once(' ').unwrap_or((&text, ""));
+    let is_zero = own.chars().all(|c| c == '0' || c == '.');
+    if is_zero && value.abs() >= PART * limit.abs() && value != 0.0 { format!("{} {rest}", short(value)) } else { text }
+}
+
+/// Part of a limit that is told.
+const PART: f64 = 0.01;
+
 /// A size with its uncertainty for people: an uncertainty that is rounding beside the value, or below `least`, is left out.
 pub fn sized(value: f64, uncertainty: f64, least: f64) -> String {
     let is_rounding = uncertainty < least || uncertainty < 1e-6 * value.abs();
@@ -63,6 +75,13 @@ mod tests {
         for (value, uncertainty, expected) in cases {
             assert_eq!(with_uncertainty(value, uncertainty), expected);
         }
+        // 78 % of its limit is not zero, however uncertain it is.
+        assert_eq!(with_uncertainty(15.6, 31_000.0), "0 ± 31000");
+        assert_eq!(beside_limit(15.6, 31_000.0, 20.0), "15.60 ± 31000");
+        assert_eq!(beside_limit(-0.02, 1.2, 1.0), "-0.02000 ± 1.2");
+        assert_eq!(beside_limit(-0.001, 1.2, 1.0), "0.0 ± 1.2");
+        assert_eq!(beside_limit(15.6, 1.2, 20.0), "15.6 ± 1.2");
+        assert_eq!(beside_limit(0.0, 1.2, 0.0), "0.0 ± 1.2");
         assert_eq!(sized(80.0, 1e-10, 1e-4), "80.00");
         assert_eq!(sized(80.0, 0.5, 1e-4), "80.00 ± 0.50");
         assert_eq!(short(0.0), "0");

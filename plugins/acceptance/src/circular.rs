@@ -1,6 +1,6 @@
 //! Validator plugin `circular`: circular tests in the manner of ISO 230-4.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 use std::fmt::Write as _;
 
 use abbe_core::{
@@ -13,8 +13,9 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::both_directions::{place_of_angle, smaller_direction};
+use crate::circle_positions::contradicted;
 use crate::common::{
-    Acceptance, Judge, Key, Limits, Sheet, check_limits, directions, doubted, faults, finite, names, run_name,
+    Acceptance, Judge, Key, Limits, Sheet, against, check_limits, directions, doubted, faults, finite, names, run_name,
     too_quiet, undecided,
 };
 
@@ -191,15 +192,23 @@ impl Circular {
 
     /// A remark on directions that the order of angles contradicts.
     fn turned(data: &Dataset, angles: &[f64], run: &str) -> Result<Option<String>> {
-        let directions = directions(data)?;
-        let steps = angles.windows(2).zip(directions.windows(2)).filter(|(_, ways)| ways[0] == ways[1]);
-        let turns = |pair: &[f64]| (pair[1] - pair[0] + PI).rem_euclid(TAU) - PI;
-        let against = |(pair, ways): &(&[f64], &[bool])| turns(pair) != 0.0 && (turns(pair) > 0.0) != ways[0];
-        let (all, count) = (steps.clone().count(), steps.filter(against).count());
+        let (count, all) = against(angles, &directions(data)?);
         Ok((2 * count > all).then(|| {
             format!(
                 "{run}: the angles run against `direction` in most rows: are cw and ccw exchanged, or is the sign of the angle wrong?"
             )
+        }))
+    }
+
+    /// A sentence on positions beside angles and readings that contradict the angles or the radius.
+    fn beside(&self, data: &Dataset, angles: &[f64]) -> Result<Option<String>> {
+        if self.scanned.is_some() {
+            return Ok(None);
+        }
+        let ways = directions(data)?;
+        Ok([true, false].into_iter().find_map(|way| {
+            let rows: Vec<usize> = (0..angles.len()).filter(|row| ways[*row] == way).collect();
+            contradicted(data, &self.angle, angles, &rows, self.radius_mm)
         }))
     }
 
@@ -217,6 +226,7 @@ impl Circular {
         faults.extend(traces.iter().flatten().find_map(too_many_turns));
         let places: Vec<usize> = angles.iter().map(|angle| place_of_angle(*angle)).collect();
         faults.extend(smaller_direction(&[&um], &directions(data)?, &places, "um"));
+        faults.extend(self.beside(data, angles)?);
         findings.remarks.extend(faults.iter().map(|fault| format!("{run}: {fault}")));
         let mut sheet = Sheet::new(&run, &self.limits);
         for (trace, way) in traces.iter().zip([true, false]) {
@@ -326,4 +336,72 @@ fn told(trace: &Trace, run: &str, way: &str) -> Vec<String> {
         told.push(format!("{run}: {} samples of the overshoot of {way} are left out", trace.left_out()));
     }
     told
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+
+    use abbe_core::{Column, ColumnHeader, RowOrigin, Values};
+
+    use super::*;
+
+    /// Both directions of a circle of 150 mm in a plane, of which `change` changes the two positions.
+    fn data(plane: [&str; 2], change: fn([f64; 2]) -> [f64; 2]) -> Dataset {
+        let row = |row: usize| {
+            let way = if row < 360 { 1.0 } else { -1.0 };
+            let angle = way * (row % 360) as f64 * PI / 180.0;
+            let at = change([150.0 * angle.cos() + 20.0, 150.0 * angle.sin() - 70.0]);
+            [angle, at[0], at[1], 3e-3 * (2.0 * angle).sin() + 1e-3 * way + 1e-5 * (17.0 * angle).cos(), way]
+        };
+        let rows: Vec<[f64; 5]> = (0..720).map(row).collect();
+        let numbers = |header: &str, place: usize| Column {
+            header: ColumnHeader::parse(header),
+            values: Values::Numbers(rows.iter().map(|row| row[place]).collect()),
+        };
+        let ways = Values::Labels(rows.iter().map(|row| row[4].to_string()).collect());
+        Dataset {
+            columns: vec![
+                numbers("angle_deg", 0),
+                numbers(plane[0], 1),
+                numbers(plane[1], 2),
+                numbers("reading_um", 3),
+                Column { header: ColumnHeader::parse("direction"), values: ways },
+            ],
+            origins: (0..rows.len()).map(|row| RowOrigin { file: 0, line: row + 2, row: row + 1 }).collect(),
+            files: vec!["circle.csv".into()],
+            ..Dataset::default()
+        }
+    }
+
+    /// The remarks, and whether all limits are decided.
+    fn judged(radius: f64, data: &Dataset) -> (String, bool) {
+        let settings = json!({ "radius_mm": radius, "limits": { "G_um": 100, "G_b_um": 100, "H_um": 100 } });
+        let circular: Circular = abbe_core::from_settings(&settings).expect("settings");
+        let found = circular.findings(&[data]).expect("findings");
+        let limited = || found.figures.iter().filter(|figure| figure.limit.is_some());
+        assert!(limited().count() >= 3);
+        (found.remarks.join("\n"), limited().all(|figure| figure.inconclusive.is_none()))
+    }
+
+    #[test]
+    fn positions_that_contradict_angles_or_the_radius_decide_nothing() {
+        for plane in [["X_mm", "Y_mm"], ["Y_mm", "Z_mm"], ["Z_mm", "X_mm"]] {
+            let (said, is_decided) = judged(150.0, &data(plane, |at| at));
+            assert!(is_decided && !said.contains("the positions"), "{plane:?}: {said}");
+            let [one, other] = plane;
+            let wrong: [(String, fn([f64; 2]) -> [f64; 2]); 4] = [
+                (format!("the sign of `{other}`"), |at| [at[0], -at[1]]),
+                (format!("`{one}` times 2.0000"), |at| [0.5 * at[0], at[1]]),
+                (format!("`{one}` and `{other}` exchanged"), |at| [at[1], at[0]]),
+                ("are on a circle of 5.906 mm".to_owned(), |at| at.map(|own| own / 25.4)),
+            ];
+            for (words, change) in wrong {
+                let (said, is_decided) = judged(150.0, &data(plane, change));
+                assert!(!is_decided && said.contains(&words), "{plane:?} {words}: {said}");
+            }
+            let (said, is_decided) = judged(100.0, &data(plane, |at| at));
+            assert!(!is_decided && said.contains("`radius_mm` is 100"), "{plane:?}: {said}");
+        }
+    }
 }

@@ -1,6 +1,7 @@
 //! What the validators of this crate share.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::f64::consts::{PI, TAU};
 
 use abbe_core::{
     DataRow, Dataset, Error, Figure, Findings, Fit, Limit, PathItem, Quantity, Result, SettingsError, Validate,
@@ -132,6 +133,14 @@ pub fn directions(data: &Dataset) -> Result<Vec<bool>> {
         }
     };
     labels.iter().enumerate().map(of).collect()
+}
+
+/// How many steps of an angle, rad, from row to row of one direction go against it, and how many there are.
+pub fn against(angles: &[f64], ways: &[bool]) -> (usize, usize) {
+    let steps = angles.windows(2).zip(ways.windows(2)).filter(|(_, ways)| ways[0] == ways[1]);
+    let turn = |pair: &[f64]| (pair[1] - pair[0] + PI).rem_euclid(TAU) - PI;
+    let is_against = |(pair, ways): &(&[f64], &[bool])| turn(pair) != 0.0 && (turn(pair) > 0.0) != ways[0];
+    (steps.clone().filter(is_against).count(), steps.count())
 }
 
 /// The error for a validator without data sets, or with an empty one.

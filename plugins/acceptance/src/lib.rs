@@ -2,6 +2,7 @@
 //! data that Abbe reads. The figures are those of `abbe-standards`.
 
 mod both_directions;
+mod circle_positions;
 mod circular;
 mod cmm_lengths;
 mod cmm_probing;
@@ -9,4 +10,5 @@ mod common;
 mod diagonals;
 mod positioning;
 mod rotary_interpolation;
+mod rotary_readings;
 mod targets;

@@ -51,12 +51,16 @@ pub struct Uncertainty {
     /// Lateral misalignment of the beam over the whole travel.
     misalignment_mm: f64,
     /// Coefficient of expansion of the machine.
+    #[schemars(range(min = 0, max = 1000))]
     alpha_um_per_m_K: f64,
     /// Range of the temperature.
+    #[schemars(range(min = 0, max = 200))]
     temperature_range_K: f64,
     /// Range of the coefficient of expansion.
+    #[schemars(range(min = 0, max = 1000))]
     alpha_range_um_per_m_K: f64,
     /// How far the temperature is from 20 °C.
+    #[schemars(range(min = -100, max = 100))]
     offset_from_20_K: f64,
     /// Range of the drift between two readings, E_VE.
     eve_range_um: f64,
@@ -338,4 +342,27 @@ fn table(found: &Positioning, readings: &Readings) -> String {
         text.push('\n');
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Temperatures and coefficients that no workshop and no material has are refused by the schema, with their key.
+    #[test]
+    fn what_no_workshop_has_is_refused() {
+        let told = |key: &str, value: f64| {
+            let settings = json!({ "uncertainty": { key: value } });
+            abbe_core::from_settings_in_range::<Settings>(&settings).err().map(|error| error.message)
+        };
+        for (key, most) in [("offset_from_20_K", 100.0), ("temperature_range_K", 200.0)] {
+            assert_eq!(told(key, most), None, "{key}");
+            assert!(told(key, 2000.0).is_some(), "{key}");
+        }
+        for key in ["alpha_um_per_m_K", "alpha_range_um_per_m_K"] {
+            assert_eq!(told(key, 24.0), None, "{key}");
+            assert!(told(key, 1e4).is_some(), "{key}");
+        }
+        assert!(told("offset_from_20_K", -2000.0).is_some());
+    }
 }

@@ -1,7 +1,8 @@
 //! Validator plugin `rotary-interpolation`: R-test figures in the manner of ISO 10791-6.
 
 use abbe_core::{
-    Context, DataRow, Dataset, Error, EstimateSource, Findings, Quantity, Result, SettingsError, Validate, not_negative,
+    Column, Context, DataRow, Dataset, Error, EstimateSource, Findings, Quantity, Result, SettingsError, Validate,
+    not_negative,
 };
 use abbe_standards::rotary_interpolation::{EDITION, Path, ranges};
 use schemars::JsonSchema;
@@ -10,9 +11,10 @@ use serde_json::{Value, json};
 
 use crate::both_directions::{place_of_angle, smaller_direction};
 use crate::common::{
-    Acceptance, Judge, Key, Limits, Sheet, check_limits, directions, doubted, faults, finite, names, run_name,
+    Acceptance, Judge, Key, Limits, Sheet, against, check_limits, directions, doubted, faults, finite, names, run_name,
     too_quiet, undecided,
 };
+use crate::rotary_readings::mirrored;
 
 abbe_core::register!(
     Validate,
@@ -38,6 +40,9 @@ struct Rotary {
     /// The nominal centre of the ball at angle 0 less a point of the axis, machine frame.
     #[serde(default)]
     ball_from_axis_mm: Option<[f64; 3]>,
+    /// The axis turns against ISO 841, or carries the tool, so that the linear axes follow the ball by its angle and not against it.
+    #[serde(default)]
+    reverse: bool,
     /// Columns of the readings along x, y and z of the machine, without their unit; or the one column of a ball bar.
     #[serde(default = "readings")]
     readings: Vec<String>,
@@ -112,33 +117,113 @@ fn radius(axis: [f64; 3], ball: [f64; 3]) -> f64 {
     (dot(ball, ball) - dot(ball, axis).powi(2) / dot(axis, axis)).max(0.0).sqrt()
 }
 
-impl Rotary {
-    /// Where the ball is, with the sense in which the linear axes follow it; none for a ball on the axis.
-    fn path(&self, data: &Dataset, angles: &[f64], (direction, ball): ([f64; 3], [f64; 3])) -> Result<Option<Path>> {
-        let [x, y, z] = ["X", "Y", "Z"].map(|axis| finite(data, axis, Quantity::Length));
-        let (x, y, z) = (x?, y?, z?);
-        let ways = [1.0, -1.0].map(|sense| Path::new(direction, ball, sense));
-        let [Some(plus), Some(minus)] = ways else { return Ok(None) };
-        // How far the way of the linear axes is from that of the ball, radial directions from the first row.
-        let off = |path: &Path| {
-            let radius = radius(direction, ball);
-            let (first, mut most) = (path.radial(angles[0]), (0.0_f64, 0));
-            for (row, angle) in angles.iter().enumerate() {
-                let radial = path.radial(*angle);
-                let way = [x[row] - x[0], y[row] - y[0], z[row] - z[0]];
-                let square: f64 = (0..3).map(|k| (way[k] - radius * (radial[k] - first[k])).powi(2)).sum();
-                most = if square.sqrt() > most.0 { (square.sqrt(), row) } else { most };
-            }
-            most
-        };
-        let (one, other) = (off(&plus), off(&minus));
-        let (path, (distance, row)) = if one.0 <= other.0 { (plus, one) } else { (minus, other) };
-        if distance > 1e-3 * radius(direction, ball).max(1.0) {
-            let message = format!("the linear axes are {distance:.3} mm off the way of the ball here");
-            let error = data.error_at(DataRow(row), message);
-            return Err(error.help("are `axis`, `direction` and `ball_from_axis_mm` those of this test?"));
+/// Direction of the axis, and the ball at angle 0 from a point of it.
+type OfAxis = ([f64; 3], [f64; 3]);
+
+/// Part of the distance of the ball from the axis by which linear axes are off its way at most.
+const ON_ITS_WAY: f64 = 1e-3;
+
+/// Fewest steps against their direction, and part of all, that are no order of rows by chance.
+const FEWEST_STEPS: usize = 6;
+const MOST_STEPS: f64 = 0.9;
+
+/// How far the way of the linear axes is at most from that of the ball, radial directions from the first row, and in which row.
+fn off(path: &Path, radius: f64, angles: &[f64], [x, y, z]: [&[f64]; 3]) -> (f64, usize) {
+    let (first, mut most) = (path.radial(angles[0]), (0.0_f64, 0));
+    for (row, angle) in angles.iter().enumerate() {
+        let radial = path.radial(*angle);
+        let way = [x[row] - x[0], y[row] - y[0], z[row] - z[0]];
+        let square: f64 = (0..3).map(|k| (way[k] - radius * (radial[k] - first[k])).powi(2)).sum();
+        most = if square.sqrt() > most.0 { (square.sqrt(), row) } else { most };
+    }
+    most
+}
+
+/// The columns with whose signs turned, or which exchanged, the linear axes are on the way of the ball, and how far they are off then.
+fn likely(
+    path: &Path,
+    radius: f64,
+    (angles, axis): (&[f64], &str),
+    places: [&[f64]; 3],
+    most: f64,
+) -> Option<(String, f64)> {
+    let names = ["X_mm", "Y_mm", "Z_mm"];
+    let negated = |values: &[f64]| values.iter().map(|value| -value).collect::<Vec<f64>>();
+    let mut found: Vec<(String, f64)> = Vec::new();
+    let mut tried = |words: String, left: f64| {
+        if left <= most {
+            found.push((words, left));
         }
-        Ok(Some(path))
+    };
+    for (place, name) in names.iter().enumerate() {
+        let own = negated(places[place]);
+        let mut corrected = places;
+        corrected[place] = &own;
+        tried(format!("the sign of `{name}` turned"), off(path, radius, angles, corrected).0);
+    }
+    tried(format!("the sign of `{axis}_deg` turned"), off(path, radius, &negated(angles), places).0);
+    for [one, other] in [[0, 1], [1, 2], [0, 2]] {
+        let mut corrected = places;
+        corrected.swap(one, other);
+        tried(format!("`{}` and `{}` exchanged", names[one], names[other]), off(path, radius, angles, corrected).0);
+    }
+    let left = found.iter().map(|(_, left)| *left).reduce(f64::max)?;
+    Some((found.into_iter().map(|(words, _)| words).collect::<Vec<_>>().join(", or "), left))
+}
+
+impl Rotary {
+    /// Where the ball is, as the linear axes follow it, and a sentence on a way that is mirrored; none for a ball on the axis.
+    fn path(&self, data: &Dataset, angles: &[f64], of_axis: OfAxis) -> Result<Option<(Path, Option<String>)>> {
+        let [x, y, z] = ["X", "Y", "Z"].map(|axis| finite(data, axis, Quantity::Length));
+        let places = [x?, y?, z?];
+        let (direction, ball) = of_axis;
+        let sense = if self.reverse { 1.0 } else { -1.0 };
+        let ways = [sense, -sense].map(|sense| Path::new(direction, ball, sense));
+        let [Some(expected), Some(mirrored)] = ways else { return Ok(None) };
+        let radius = radius(direction, ball);
+        let most = ON_ITS_WAY * radius.max(1.0);
+        let (distance, row) = off(&expected, radius, angles, places);
+        if distance <= most {
+            return Ok(Some((expected, None)));
+        }
+        let likely = likely(&expected, radius, (angles, &self.axis), places, most);
+        if off(&mirrored, radius, angles, places).0 > most {
+            let message = format!("the linear axes are {distance:.3} mm off the way of the ball here");
+            let help = "are `axis`, `direction` and `ball_from_axis_mm` those of this test?";
+            let help = likely.map_or_else(
+                || help.to_owned(),
+                |(words, left)| format!("with {words} they are {left:.3} mm off at most: is that what is wrong?"),
+            );
+            return Err(data.error_at(DataRow(row), message).help(help));
+        }
+        let corrected = likely.map_or_else(String::new, |(words, left)| format!(", and {left:.3} mm with {words}"));
+        let sentence = format!(
+            "the linear axes follow a ball that turns the other way round: they are {distance:.3} mm off its way{corrected}. Is this sign \
+             wrong, or has the axis to be told `reverse: {}`?",
+            !self.reverse
+        );
+        Ok(Some((mirrored, Some(sentence))))
+    }
+
+    /// A sentence on rows that run against their directions.
+    fn turned(&self, data: &Dataset, angles: &[f64], ways: &[bool]) -> Option<String> {
+        let other = |column: &&Column| {
+            let name = column.header.name.as_str();
+            name != self.axis && name.len() == 1 && column.header.quantity == Quantity::Angle
+        };
+        let moves = |values: &[f64]| values.iter().any(|own| (own - values[0]).abs() > SAME_ANGLE);
+        // Where two axes turn, directions may be those of the other one.
+        let mut others = data.columns.iter().filter(other).filter_map(|column| data.numbers(&column.header.name));
+        if others.any(moves) {
+            return None;
+        }
+        let (count, all) = against(angles, ways);
+        (count >= FEWEST_STEPS && count as f64 > MOST_STEPS * all as f64).then(|| {
+            format!(
+                "`{}` runs against `direction` in {count} of {all} steps: is the sign of `direction` or of `{0}` wrong?",
+                self.axis
+            )
+        })
     }
 
     /// What keeps the test from deciding: few angles, a small part of a turn, or one way alone.
@@ -176,16 +261,25 @@ impl Rotary {
         let um: Vec<Vec<f64>> = columns.iter().map(|column| column.iter().map(|value| 1e3 * value).collect()).collect();
         let places: Vec<usize> = angles.iter().map(|angle| place_of_angle(*angle)).collect();
         faults.extend(smaller_direction(&um.iter().map(Vec::as_slice).collect::<Vec<_>>(), &ways, &places, "um"));
-        findings.remarks.extend(faults.iter().map(|fault| format!("{run}: {fault}")));
         findings.remarks.extend(too_quiet(&run, &um.concat(), self.standard_uncertainty_um, "um"));
+        let of_axis = self.direction.zip(self.ball_from_axis_mm);
+        let path = of_axis.map(|of_axis| self.path(data, angles, of_axis)).transpose()?;
+        if let Some(Some((path, way))) = &path {
+            faults.extend(way.clone());
+            let readings: Vec<[f64; 3]> =
+                (0..angles.len()).map(|row| [columns[0][row], columns[1][row], columns[2][row]]).collect();
+            let distance = of_axis.map_or(0.0, |(direction, ball)| radius(direction, ball));
+            let names = [&self.readings[0], &self.readings[1], &self.readings[2]].map(String::as_str);
+            faults.extend(mirrored(path, distance, angles, &readings, names).filter(|_| way.is_none()));
+        }
+        faults.extend(self.turned(data, angles, &ways));
+        findings.remarks.extend(faults.iter().map(|fault| format!("{run}: {fault}")));
         let lacking = self.lacking(angles, &ways);
         findings.remarks.extend(lacking.iter().map(|lacking| format!("{run}: {lacking}")));
         let mut all: Vec<(&str, &'static str, Vec<f64>)> = Vec::new();
-        let of_axis = self.direction.zip(self.ball_from_axis_mm);
-        let path = of_axis.map(|of_axis| self.path(data, angles, of_axis)).transpose()?;
         match path {
             None => {}
-            Some(Some(path)) => {
+            Some(Some((path, _))) => {
                 let split: Vec<[f64; 3]> = (0..angles.len())
                     .map(|row| path.split(angles[row], [columns[0][row], columns[1][row], columns[2][row]]))
                     .collect();
@@ -232,5 +326,105 @@ impl Acceptance for Rotary {
             "{EDITION} (its text was not at hand). A choice of this project: its figures are ranges of readings as set up, not centred"
         ));
         Ok(findings)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use abbe_core::{ColumnHeader, RowOrigin, Values};
+    use abbe_numerics::Generator;
+
+    use super::*;
+
+    const HEADERS: [&str; 8] = ["direction", "X_mm", "Y_mm", "Z_mm", "C_deg", "meas_x_um", "meas_y_um", "meas_z_um"];
+
+    /// Rows in mm and rad: those of a C axis on a table that turns by `reverse` or not, on a random machine.
+    fn rows(seed: u64, reverse: bool) -> Vec<[f64; 8]> {
+        let mut generator = Generator::new(seed, 0);
+        let mut next = move || generator.normal().clamp(-2.5, 2.5);
+        let sense = if reverse { 1.0 } else { -1.0 };
+        let (turn, steps) = ([120.0_f64, 200.0, 360.0][seed as usize % 3].to_radians(), 12 + seed as usize % 20);
+        let place = [100.0 * next(), 100.0 * next(), 200.0];
+        let (off, first) = ([0.02 * next(), 0.02 * next()], next());
+        let count = 2 * steps;
+        (0..count)
+            .map(|row| {
+                let way = if row < steps { 1.0 } else { -1.0 };
+                let step = if row < steps { row } else { count - 1 - row };
+                let angle = first + turn * step as f64 / (steps - 1) as f64;
+                let (sin, cos) = (sense * angle).sin_cos();
+                let readings = [off[0] * cos - off[1] * sin, off[0] * sin + off[1] * cos, 0.002 * way];
+                let own = readings.map(|own| own + 3e-4 * next());
+                let at =
+                    [place[0] + 110.0 * cos, place[1] + 110.0 * sin, place[2]].map(|own| (1e5 * own).round() / 1e5);
+                [way, at[0], at[1], at[2], angle, own[0], own[1], own[2]]
+            })
+            .collect()
+    }
+
+    fn data(rows: &[[f64; 8]]) -> Dataset {
+        let column = |(place, header): (usize, &&str)| {
+            let numbers = || rows.iter().map(|row| row[place]);
+            let values = match place {
+                0 => Values::Labels(numbers().map(|way| way.to_string()).collect()),
+                _ => Values::Numbers(numbers().collect()),
+            };
+            Column { header: ColumnHeader::parse(header), values }
+        };
+        Dataset {
+            columns: HEADERS.iter().enumerate().map(column).collect(),
+            origins: (0..rows.len()).map(|row| RowOrigin { file: 0, line: row + 2, row: 0 }).collect(),
+            files: vec!["c.csv".into()],
+            ..Dataset::default()
+        }
+    }
+
+    /// The remarks on a fault, and whether limits are decided; an error as its message and its help.
+    fn judged(rows: &[[f64; 8]], reverse: bool) -> (String, bool) {
+        let settings = json!({ "axis": "C", "direction": [0, 0, 1], "ball_from_axis_mm": [110, 0, 60], "reverse": reverse,
+            "standard_uncertainty_um": 0.3, "limits": { "radial_um": 1e5, "x_um": 1e5, "axial_um": 1e5 } });
+        let rotary: Rotary = abbe_core::from_settings(&settings).expect("settings");
+        match rotary.findings(&[&data(rows)]) {
+            Ok(found) => {
+                let limited = found.figures.iter().filter(|figure| figure.limit.is_some());
+                (
+                    found.remarks.join("\n"),
+                    limited.clone().count() > 0 && limited.clone().all(|own| own.inconclusive.is_none()),
+                )
+            }
+            Err(error) => (error.to_string(), false),
+        }
+    }
+
+    #[test]
+    fn tests_that_are_right_decide_without_a_word() {
+        for seed in 0..600 {
+            let reverse = seed % 4 == 0;
+            let (said, is_decided) = judged(&rows(seed, reverse), reverse);
+            assert!(is_decided && !said.contains("wrong?"), "{seed}: {said}");
+        }
+    }
+
+    #[test]
+    fn columns_that_are_wrong_are_named_and_decide_nothing() {
+        let wrong: [(&str, fn(&mut [f64; 8])); 5] = [
+            ("the sign of `X_mm` turned", |row| row[1] = -row[1]),
+            ("the sign of `Y_mm` turned", |row| row[2] = -row[2]),
+            ("`X_mm` and `Y_mm` exchanged", |row| row.swap(1, 2)),
+            ("the sign of `C_deg` turned", |row| row[4] = -row[4]),
+            ("is the sign of `direction`", |row| row[0] = -row[0]),
+        ];
+        for seed in 0..200 {
+            let reverse = seed % 4 == 0;
+            for (words, change) in wrong {
+                let mut rows = rows(seed, reverse);
+                rows.iter_mut().for_each(change);
+                let (said, is_decided) = judged(&rows, reverse);
+                assert!(!is_decided && said.contains(words), "{seed} {words}: {said}");
+            }
+            // The other way round of the setting is told as the setting, too.
+            let (said, is_decided) = judged(&rows(seed, reverse), !reverse);
+            assert!(!is_decided && said.contains(&format!("`reverse: {reverse}`")), "{seed}: {said}");
+        }
     }
 }

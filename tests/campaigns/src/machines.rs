@@ -5,7 +5,8 @@
 //! 1. `check` and `run` agree on what the data determine;
 //! 2. no parameter without effect on the measurements is called estimated: the effect is told by differences, far from zero;
 //! 3. an estimate from parts of the rows is that of all rows;
-//! 4. no value that is called estimated is off by more than ten of its standard uncertainties.
+//! 4. no value that is called estimated is off by more than ten of its standard uncertainties;
+//! 5. nobody is told that signs are turned, columns exchanged, rows planned or outliers gathered: data are as simulated.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -14,8 +15,8 @@ use std::path::Path;
 
 use abbe_core::{Fit, Monitor, Owner, Problem, Registry, Status, Unknown, in_parallel};
 use abbe_engine::prepare;
-use abbe_estimation::at_contact;
 use abbe_estimation::laws::check_parts;
+use abbe_estimation::{at_contact, comparisons, gathered_outliers, remarks};
 use serde_json::{Value, json};
 
 use crate::Random;
@@ -228,6 +229,7 @@ fn judge(folder: &Path, registry: &Registry, wanted: &Wanted, kind: String) -> (
         broken.push(format!("check says rank {}, run {}", found.rank, fit.calibration.fit.rank));
     }
     broken.extend(without_effect(fit));
+    broken.extend(false_alarms(fit));
     // Two to five parts, by the number of rows.
     let of_parts = check_parts(fit.estimator.as_ref(), &fit.problem, 2 + fit.problem.equations() % 4);
     broken.extend(of_parts.unwrap_or_else(|error| vec![format!("all rows again: {error}")]));
@@ -249,6 +251,17 @@ fn shortened(message: &str) -> String {
         }
     }
     text
+}
+
+/// Words of the remark on rows of a plan among measured ones.
+const PLANNED: &str = "or are they positions of a plan";
+
+/// Remarks on signs that are turned, columns that are exchanged, rows of a plan and outliers that gather.
+fn false_alarms(fit: &Fit) -> Vec<String> {
+    let planned = remarks(&fit.problem).into_iter().filter(|remark| remark.contains(PLANNED));
+    let compared = comparisons(&fit.problem);
+    let gathered = gathered_outliers(&fit.problem, &fit.calibration);
+    planned.chain(compared).chain(gathered).map(|remark| format!("false alarm: {remark}")).collect()
 }
 
 /// Parameters that are called estimated although residuals in nominal contact do not change when they change a lot.

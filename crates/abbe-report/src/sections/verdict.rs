@@ -5,7 +5,7 @@ use abbe_core::{Decision, Figure, Verdict};
 use super::{micrometres, unit_of, valued};
 use crate::analysis::{Analysis, main_fit};
 use crate::html::{Cell, details, escape, list, paragraph, table};
-use crate::number::with_uncertainty;
+use crate::number::{beside_limit, with_uncertainty};
 use crate::run::Run;
 
 /// The decision of a run in a word, its class, and a sentence.
@@ -178,7 +178,10 @@ pub fn told_figure(figure: &Figure) -> (String, String) {
     let value = match (figure.value, figure.standard_uncertainty) {
         (None, _) => "could not be computed".to_owned(),
         (Some(value), Some(uncertainty)) if uncertainty > 0.0 => {
-            let text = with_uncertainty(value, 2.0 * uncertainty);
+            let text = match figure.limit {
+                Some(limit) => beside_limit(value, 2.0 * uncertainty, limit),
+                None => with_uncertainty(value, 2.0 * uncertainty),
+            };
             if figure.unit == "1" { text } else { format!("{text} {}", unit_of(&figure.unit)) }
         }
         (Some(value), _) => valued(value, &figure.unit),
