@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    AskedOfPart, EquationIndex, Error, PartEvidence, Problem, Quantity, ResidualSums, Result, SetIndex, SizeSums, Triangle, Unknown,
-    WeighedSums,
+    AskedOfPart, EquationIndex, Error, PartEvidence, Problem, Quantity, ResidualSums, Result, SetIndex, SizeSums,
+    Triangle, Unknown, WeighedSums,
 };
 use abbe_numerics::{
     Accumulator, HuberPoint, InPasses, LeastSquares, Robust, RobustPass, RobustReport, RowWeight, Weighing,
