@@ -191,17 +191,13 @@ impl Factor {
 
     /// Norm of `J x`: the change of all rows together by x.
     pub fn row_norm(&self, x: &[f64]) -> f64 {
-        norm_of(self.changes(x))
+        norm_of(self.of_all_rows(x).into_iter())
     }
 
     /// `R x`, which has the inner products of `J x`.
     pub(crate) fn of_all_rows(&self, x: &[f64]) -> Vec<f64> {
-        self.changes(x).collect()
-    }
-
-    fn changes(&self, x: &[f64]) -> impl Iterator<Item = f64> {
         let n = self.unknowns();
-        (0..n).map(move |row| (row..n).map(|column| self.triangle[(row, column)] * x[column]).sum())
+        (0..n).map(|row| (row..n).map(|column| self.triangle[(row, column)] * x[column]).sum()).collect()
     }
 
     /// The root of the covariance within the first `rank` singular directions.
