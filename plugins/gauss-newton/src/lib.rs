@@ -24,7 +24,7 @@ use abbe_numerics::{Directions, End, Factor, LeastSquares, Options, RestrictedPr
 use serde_json::{Value, json};
 
 use convergence::{ill, not_converged};
-use select::{Select, SelectBy, reduced};
+use select::SelectBy;
 use settings::{OnConfounded, RobustSetting, Settings, Variance};
 
 abbe_core::register!(
@@ -284,23 +284,6 @@ impl GaussNewton {
             Some(select) if select.by == SelectBy::Prediction => self.estimate_predicted(problem, select, explained),
             Some(select) => self.estimate_selected(problem, select, explained),
         }
-    }
-
-    /// The estimate of all unknowns, then the estimate of the significant ones.
-    fn estimate_selected(&self, problem: &Problem, select: &Select, explained: bool) -> Result<Calibration> {
-        let candidates = select.candidates(problem)?;
-        let all = self.estimate_all(problem, false)?;
-        let x = problem.values_of(&all);
-        let weighted = self.weighted(problem)?;
-        let weights = match self.settings.robust {
-            Some(_) => self.iterate(&weighted, &x, None, &self.options(1e-6, true))?.robust,
-            None => None,
-        };
-        let factor = weighted.factor(&x, weights.as_ref().map(|report| report.weights.as_slice()))?;
-        let selection = select.select(problem, &candidates, (&factor, &x), all.fit.degrees_of_freedom)?;
-        let mut calibration = self.estimate_all(&reduced(&problem.with_values(&x), &selection), explained)?;
-        calibration.fit.selection = Some(selection);
-        Ok(calibration)
     }
 
     fn estimate_all(&self, problem: &Problem, explained: bool) -> Result<Calibration> {

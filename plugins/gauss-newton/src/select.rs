@@ -2,12 +2,14 @@
 //! unknowns. The settings of the selection by prediction are here, too.
 
 use abbe_core::{
-    Error, PathItem, Problem, Result, Selection, SelectionDirection, SelectionStep, SettingsError, Unknown, Whole,
-    matches,
+    Calibration, Error, PathItem, Problem, Result, Selection, SelectionDirection, SelectionStep, SettingsError,
+    Unknown, Whole, matches,
 };
 use abbe_numerics::{Factor, StepwiseDirection};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use crate::GaussNewton;
 
 /// Settings of the selection.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -47,6 +49,25 @@ pub enum SelectBy {
     Significance,
     /// Whether readings that the estimate has not seen are predicted as well without it.
     Prediction,
+}
+
+impl GaussNewton {
+    /// The estimate of all unknowns, then the estimate of the significant ones.
+    pub(crate) fn estimate_selected(&self, problem: &Problem, select: &Select, explained: bool) -> Result<Calibration> {
+        let candidates = select.candidates(problem)?;
+        let all = self.estimate_all(problem, false)?;
+        let x = problem.values_of(&all);
+        let weighted = self.weighted(problem)?;
+        let weights = match self.settings.robust {
+            Some(_) => self.iterate(&weighted, &x, None, &self.options(1e-6, true))?.robust,
+            None => None,
+        };
+        let factor = weighted.factor(&x, weights.as_ref().map(|report| report.weights.as_slice()))?;
+        let selection = select.select(problem, &candidates, (&factor, &x), all.fit.degrees_of_freedom)?;
+        let mut calibration = self.estimate_all(&reduced(&problem.with_values(&x), &selection), explained)?;
+        calibration.fit.selection = Some(selection);
+        Ok(calibration)
+    }
 }
 
 impl Select {
