@@ -152,7 +152,7 @@ impl Circular {
                     let numbers = finite(data, name, quantity).map_err(|error| error.setting(setting))?;
                     Ok(numbers.to_vec())
                 };
-                let angle = self.angle.as_deref().unwrap_or("angle");
+                let angle = self.angle();
                 Ok([column(angle, Quantity::Angle, "angle")?, column(self.reading(), Quantity::Length, "reading")?])
             }
         }
@@ -200,6 +200,11 @@ impl Circular {
         }))
     }
 
+    /// The column of the angle.
+    fn angle(&self) -> &str {
+        self.angle.as_deref().unwrap_or("angle")
+    }
+
     /// A sentence on positions beside angles and readings that contradict the angles or the radius.
     fn beside(&self, data: &Dataset, angles: &[f64]) -> Result<Option<String>> {
         if self.scanned.is_some() {
@@ -208,7 +213,7 @@ impl Circular {
         let ways = directions(data)?;
         Ok([true, false].into_iter().find_map(|way| {
             let rows: Vec<usize> = (0..angles.len()).filter(|row| ways[*row] == way).collect();
-            contradicted(data, &self.angle, angles, &rows, self.radius_mm)
+            contradicted(data, self.angle(), angles, &rows, self.radius_mm)
         }))
     }
 
