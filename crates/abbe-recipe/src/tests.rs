@@ -1,4 +1,4 @@
-use abbe_core::{Build, Class, Constructor, Context, Place};
+use abbe_core::{Build, Class, Constructor, Context, Place, path_text};
 use proptest::prelude::*;
 use serde_json::json;
 
