@@ -341,7 +341,25 @@ pub(crate) fn append(data: &mut Dataset, part: Dataset) -> Result<()> {
             return Err(differ(column, path, first));
         }
     }
+    if let Some(twin) = part.files.iter().find(|path| data.files.contains(path))
+        && data.column("file").is_none()
+    {
+        return Err(of_one_name(twin, twin));
+    }
     data.append(part)
+}
+
+/// What a file is called in the column `file`.
+fn stem(path: &Path) -> String {
+    let unpacked = abbe_files::without_packing(path);
+    unpacked.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// The error for two files that the column `file` does not tell apart.
+fn of_one_name(one: &Path, other: &Path) -> Error {
+    let (shown, stem) = ([one, other].map(Path::display), stem(other));
+    let message = format!("`{}` and `{}` would both be `{stem}` in the column `file`", shown[0], shown[1]);
+    Error::usage(message).help("give one of them another name").setting("path")
 }
 
 /// Adds the column `file`; false if the files have one of their own.
@@ -349,20 +367,11 @@ fn add_file_column(data: &mut Dataset) -> Result<bool> {
     if data.column("file").is_some() {
         return Ok(false);
     }
-    let stem = |path: &PathBuf| {
-        let unpacked = abbe_files::without_packing(path);
-        unpacked.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
-    };
-    let stems: Vec<String> = data.files.iter().map(stem).collect();
+    let stems: Vec<String> = data.files.iter().map(|path| stem(path)).collect();
     let mut first: BTreeMap<&str, usize> = BTreeMap::new();
     for (index, (path, stem)) in data.files.iter().zip(&stems).enumerate() {
         if let Some(twin) = first.insert(stem, index) {
-            let message = format!(
-                "`{}` and `{}` would both be `{stem}` in the column `file`",
-                data.files[twin].display(),
-                path.display()
-            );
-            return Err(Error::usage(message).help("give one of them another name").setting("path"));
+            return Err(of_one_name(&data.files[twin], path));
         }
     }
     let labels = data.origins.iter().map(|origin| stems[origin.file].clone()).collect();

@@ -178,10 +178,10 @@ pub fn huber_point<P: InPasses + ?Sized>(problem: &P, start: HuberPoint) -> Resu
 /// The minimum of Huber's loss, the M-scale there, where the next pass begins, and passes so far.
 type Huber = (HuberPoint, f64, Vec<f64>, usize);
 
-fn to_huber<P: InPasses + ?Sized>(
-    problem: &P,
-    mut at: HuberPoint,
-) -> Result<Result<Huber, (Box<Solution>, HuberPoint)>, P::Error> {
+/// Where a pass leaves out what determines a direction, and how it weighed its rows.
+type Lost = (Box<Solution>, HuberPoint);
+
+fn to_huber<P: InPasses + ?Sized>(problem: &P, mut at: HuberPoint) -> Result<Result<Huber, Lost>, P::Error> {
     let mut passes = 0;
     loop {
         passes += 1;
@@ -233,6 +233,12 @@ struct Settling<'a, P: ?Sized> {
     most: usize,
 }
 
+/// A step and the place from which it goes.
+struct Step {
+    from: Vec<f64>,
+    step: Vec<f64>,
+}
+
 /// A step and the change of it that followed.
 struct Followed {
     moved: Vec<f64>,
@@ -243,7 +249,7 @@ impl<P: InPasses + ?Sized> Settling<'_, P> {
     fn settle(&mut self, mut x: Vec<f64>) -> Result<Solution, P::Error> {
         let mut here = self.pass(&x)?;
         let mut followed: Vec<Followed> = Vec::new();
-        let (mut last, mut last_size): (Option<(Vec<f64>, Vec<f64>)>, Option<f64>) = (None, None);
+        let (mut last, mut last_size): (Option<Step>, Option<f64>) = (None, None);
         loop {
             let Some(plain) = here.factor.step() else {
                 return Ok(ended(x, End::NoProgress, *self.passes, f64::NAN, here.factor));
@@ -251,8 +257,8 @@ impl<P: InPasses + ?Sized> Settling<'_, P> {
             let gain = gain(&here);
             let step: Vec<f64> = plain.iter().map(|part| part * gain).collect();
             let size = here.factor.row_norm(&step);
-            if let Some((before, its_step)) = last.take() {
-                followed.push(Followed { moved: minus(&x, &before), changed: minus(&step, &its_step) });
+            if let Some(before) = last.take() {
+                followed.push(Followed { moved: minus(&x, &before.from), changed: minus(&step, &before.step) });
                 followed.drain(..followed.len().saturating_sub(MIXED));
             }
             let mixed = mixed(&here.factor, &step, &followed);
@@ -273,7 +279,7 @@ impl<P: InPasses + ?Sized> Settling<'_, P> {
             if !is_mixed {
                 followed.clear();
             }
-            (last, last_size) = (Some((x, step)), is_mixed.then_some(size));
+            (last, last_size) = (Some(Step { from: x, step }), is_mixed.then_some(size));
             (x, here) = (next, there);
         }
     }

@@ -86,7 +86,7 @@ fn sentence(names: [&str; 2], angle: &str, angles: &[f64], places: &[Place], rad
         ));
     }
     let tried = mistakes(names, angle, places, radius).into_iter().filter_map(|(words, correct)| {
-        let corrected: Vec<Place> = places.iter().map(|place| correct(place)).collect();
+        let corrected: Vec<Place> = places.iter().map(&correct).collect();
         Round::of(angles, &corrected).filter(|round| round.fits(radius)).map(|round| (words, round))
     });
     let likely = tried.min_by(|(_, one), (_, other)| one.beside.abs().total_cmp(&other.beside.abs()));
@@ -157,10 +157,11 @@ mod tests {
         let mut generator = Generator::new(seed, 0);
         let mut part = move || 0.5 * (1.0 + (generator.normal() / 2.0).clamp(-1.0, 1.0));
         let (radius, centre) = (20.0 + 280.0 * part(), [400.0 * part() - 200.0, 400.0 * part() - 200.0]);
-        let sense = if seed % 2 == 0 { 1.0 } else { -1.0 };
-        let sweep = sense * (if seed % 3 == 0 { 100.0 + 120.0 * part() } else { 360.0 + 90.0 * part() }).to_radians();
+        let sense = if seed.is_multiple_of(2) { 1.0 } else { -1.0 };
+        let sweep =
+            sense * (if seed.is_multiple_of(3) { 100.0 + 120.0 * part() } else { 360.0 + 90.0 * part() }).to_radians();
         // Where the circle began, and angles that are told from another axis: that is no contradiction of this kind.
-        let (from, beside) = (TAU * part(), if seed % 5 == 0 { TAU * part() } else { 0.0 });
+        let (from, beside) = (TAU * part(), if seed.is_multiple_of(5) { TAU * part() } else { 0.0 });
         let errors = [1e-3 * radius * part(), 1e-3 * radius * part(), 0.01 * part()];
         let rows = 40 + (seed as usize % 7) * 60;
         let angles: Vec<f64> = (0..rows).map(|row| from + sweep * row as f64 / (rows - 1) as f64).collect();
@@ -183,7 +184,8 @@ mod tests {
 
     #[test]
     fn columns_that_are_wrong_are_named() {
-        let wrong: [(&str, fn(&Place) -> Place); 6] = [
+        type Wrong = fn(&Place) -> Place;
+        let wrong: [(&str, Wrong); 6] = [
             ("with the sign of `Y_mm`", |own| [own[0], -own[1]]),
             ("with the sign of `X_mm`", |own| [-own[0], own[1]]),
             ("with `X_mm` and `Y_mm` exchanged", |own| [own[1], own[0]]),

@@ -395,7 +395,8 @@ mod tests {
             let (said, is_decided) = judged(150.0, &data(plane, |at| at));
             assert!(is_decided && !said.contains("the positions"), "{plane:?}: {said}");
             let [one, other] = plane;
-            let wrong: [(String, fn([f64; 2]) -> [f64; 2]); 4] = [
+            type Wrong = fn([f64; 2]) -> [f64; 2];
+            let wrong: [(String, Wrong); 4] = [
                 (format!("the sign of `{other}`"), |at| [at[0], -at[1]]),
                 (format!("`{one}` times 2.0000"), |at| [0.5 * at[0], at[1]]),
                 (format!("`{one}` and `{other}` exchanged"), |at| [at[1], at[0]]),
