@@ -407,7 +407,8 @@ mod tests {
 
     #[test]
     fn columns_that_are_wrong_are_named_and_decide_nothing() {
-        let wrong: [(&str, fn(&mut [f64; 8])); 5] = [
+        type Wrong = fn(&mut [f64; 8]);
+        let wrong: [(&str, Wrong); 5] = [
             ("the sign of `X_mm` turned", |row| row[1] = -row[1]),
             ("the sign of `Y_mm` turned", |row| row[2] = -row[2]),
             ("`X_mm` and `Y_mm` exchanged", |row| row.swap(1, 2)),

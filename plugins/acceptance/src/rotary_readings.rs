@@ -126,7 +126,7 @@ mod tests {
         let mut generator = Generator::new(seed, 0);
         let mut next = move || generator.normal().clamp(-2.5, 2.5);
         let distance = 40.0 + 60.0 * (1.0 + next().abs());
-        let sense = if seed % 2 == 0 { -1.0 } else { 1.0 };
+        let sense = if seed.is_multiple_of(2) { -1.0 } else { 1.0 };
         let path = Path::new([0.0, 0.0, 1.0], [distance, 0.0, 60.0], sense).expect("a path");
         let turn = [180.0_f64, 270.0, 360.0][seed as usize % 3].to_radians();
         let (off, place) = ([set_up * next(), set_up * next()], [0.02 * next(), 0.02 * next()]);
@@ -163,7 +163,8 @@ mod tests {
 
     #[test]
     fn readings_that_are_turned_or_exchanged_are_named() {
-        let wrong: [(&str, fn(&mut [f64; 3])); 3] = [
+        type Wrong = fn(&mut [f64; 3]);
+        let wrong: [(&str, Wrong); 3] = [
             ("the sign of `meas_x`", |own| own[0] = -own[0]),
             ("the sign of `meas_y`", |own| own[1] = -own[1]),
             ("`meas_x` and `meas_y` exchanged", |own| own.swap(0, 1)),
