@@ -3,6 +3,7 @@
 
 use std::process::{Command, Stdio};
 
+use crate::gate::FEATURES;
 use crate::{Outcome, cargo, run as run_command};
 
 /// The user that runs the control: it refuses root.
@@ -16,8 +17,8 @@ pub fn run(create: bool) -> Outcome {
     if create {
         create_user()?;
     }
-    let test = ["test", "--package", "abbe-tests", "--test", "whole", "--locked", "--", "--nocapture"];
-    run_command(cargo(&[&test[..], &TESTS].concat()))
+    let whole = ["test", "--workspace", "--test", "whole", "--locked"];
+    run_command(cargo(&[&whole[..], &FEATURES, &["--", "--nocapture"], &TESTS].concat()))
 }
 
 /// Creates the user, unless it is there; without LinuxCNC, or if this is not root, nothing is done.
