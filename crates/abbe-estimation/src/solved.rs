@@ -169,7 +169,8 @@ impl UncertaintyEvaluation {
 
     /// Makes the calibration from a solution of rows in parts. Parts tell no motion errors with the same effect on the tip.
     ///
-    /// `weighing` is how a robust estimate weighs them. Fails for a direction that is lost at the solution, and where no degrees of freedom are left, as for rows at once.
+    /// `weighing` is how a robust estimate weighs them. Fails for a direction that is lost at the solution, and where no degrees of
+    /// freedom are left, as for rows at once.
     pub fn calibration_of_parts(
         &self,
         rows: &RowsInParts<'_>,

@@ -1,4 +1,5 @@
-//! Robust weights of rows that nobody holds: each pass over the rows weighs them where it linearises them.
+//! Robust weights of rows that nobody holds: each pass over the rows weighs them where it linearises them (MM estimation: Huber
+//! 1964; Yohai 1987).
 //!
 //! The objective is that of [`solve_from`](crate::solve_from) with [`Options::robust`]. What it keeps of every row (the variance of
 //! what the others say) follows here from the row itself and from the factor at the minimum of Huber's loss, which has the size of

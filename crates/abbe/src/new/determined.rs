@@ -311,7 +311,7 @@ mod tests {
 
     #[test]
     fn errors_name_no_temporary_file() {
-        let (chain, at) = ("w b X Y Z t".parse().unwrap(), Path::new("/tmp/trial"));
+        let (chain, at) = ("w b X Y Z t".parse().unwrap(), Path::new("trial"));
         let error = Error::usage("there is no model plugin `serial-chain`").stage("machine");
         let found = of_user(error.clone().at(&at.join("alone.yaml"), 4, None), at, &chain);
         assert_eq!((found.place, found.stage), (None, None));
