@@ -104,6 +104,25 @@ fn a_run_never_replaces_what_it_reads() {
     assert_eq!(small.read("out/recipe/rough.calibration.json"), before);
 }
 
+/// What a killed run has left is removed by its name: nobody's data have it.
+#[test]
+fn data_with_the_name_of_temporary_folders_are_refused() {
+    let small = Small::new();
+    let recipe = small.read("recipe.yaml");
+    let (ours, alike) = (".abbe-partial-0123456789ab", ".abbe-partial-0123456789");
+    for (folder, is_taken) in [(ours, false), (alike, true)] {
+        small.write(&format!("out/{folder}/touches.csv"), &small.read("data/touches.csv"));
+        small.write("recipe.yaml", &recipe.replace("data/touches.csv", &format!("out/{folder}/touches.csv")));
+        let (status, stderr) = run(&small, "out");
+        let is_told = stderr.contains("recipe.yaml:") && stderr.contains("a name of temporary");
+        assert_eq!((status == 0, !is_told), (is_taken, is_taken), "{stderr}");
+        assert!(small.path(&format!("out/{folder}/touches.csv")).exists(), "{folder}");
+    }
+    small.write(&format!("{ours}.yaml"), &recipe);
+    let printed = small.abbe(&["run", &format!("{ours}.yaml"), "--out", "out2"]);
+    assert!(printed.status == 2 && printed.stderr.contains("a name of temporary"), "{}", printed.stderr);
+}
+
 #[test]
 fn a_folder_without_results_is_never_taken() {
     let small = Small::new();

@@ -85,6 +85,139 @@ fn balls_that_are_not_touched_are_not_told_as_touches_that_are_missing_alone() {
     assert!(words.contains("the recorded positions do not lie around this ball"), "{words}");
 }
 
+/// A copy of a file with two columns exchanged, in `folder`.
+fn exchanged(file: &Path, folder: &Path, one: &str, other: &str) -> PathBuf {
+    let text = read(file);
+    let header = text.lines().find(|line| !line.starts_with('#')).expect("a header");
+    let place = |name: &str| header.split(',').position(|own| own == name).expect("a column");
+    let (one, other) = (place(one), place(other));
+    let line = |line: &str| {
+        let mut cells: Vec<&str> = line.split(',').collect();
+        if !line.starts_with('#') && line != header {
+            cells.swap(one, other);
+        }
+        cells.join(",")
+    };
+    let path = folder.join("exchanged.csv");
+    write(&path, &(text.lines().map(line).collect::<Vec<_>>().join("\n") + "\n"));
+    path
+}
+
+#[test]
+fn a_channel_in_another_unit_is_told() {
+    let recipe = Variant::of(&recipes()["standards-rtest"]);
+    let words = "is the unit of this channel right";
+    assert!(!said(&recipe).contains(words));
+    for (stage, column) in [("a-turns", "meas_z_um"), ("a-turns", "meas_y_um"), ("c-turns", "meas_x_um")] {
+        for factor in [1.0 / 25.4, 1e-3] {
+            let (folder, mut recipe) = (temporary(), Variant::of(&recipes()["standards-rtest"]));
+            let file = recipe.path(stage, "path");
+            recipe.stage(stage)["path"] = json!(changed(&file, folder.path(), column, times(factor)));
+            let said = said(&recipe);
+            let is_told = said.contains(words) && said.contains(&format!("`{}`", column.trim_end_matches("_um")));
+            assert!(is_told, "{stage} {column} {factor}: {said}");
+        }
+    }
+    // A warm-up has no model that tells; its noise does.
+    let mut recipe = Variant::of(&recipes()["spindle-motion"]);
+    let file = recipe.path("half-hour", "path");
+    for column in ["drift_x_um", "drift_y_um", "drift_z_um"] {
+        let folder = temporary();
+        recipe.stage("half-hour")["path"] = json!(changed(&file, folder.path(), column, times(1.0 / 25.4)));
+        assert!(said(&recipe).contains(&format!("{} scatters", column.trim_end_matches("_um"))), "{column}");
+    }
+}
+
+#[test]
+fn exchanged_sensors_are_told() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["spindle-motion"]);
+    let words = |recipe: &Variant| said(recipe).contains("exchanged?");
+    assert!(!words(&recipe));
+    let file = recipe.path("half-hour", "path");
+    for (one, other) in [("T01_degC", "T02_degC"), ("T03_degC", "T04_degC")] {
+        recipe.stage("half-hour")["path"] = json!(exchanged(&file, folder.path(), one, other));
+        assert!(words(&recipe), "{one} {other}");
+    }
+    let mut recipe = Variant::of(&recipes()["mill-warming"]).only(&["fit"]);
+    let both = |recipe: &Variant| said(recipe).contains("C11 and C31 exchanged");
+    assert!(!said(&recipe).contains("are these two sensors exchanged"));
+    recipe.stage("sensors")["path"] =
+        json!(exchanged(&recipe.path("sensors", "path"), folder.path(), "C11_degC", "C31_degC"));
+    assert!(both(&recipe), "{}", said(&recipe));
+}
+
+#[test]
+fn diagonals_of_another_sign_are_told() {
+    let recipe = || Variant::of(&recipes()["standards-diagonals"]);
+    let is_told = |recipe: &Variant, words: &str| said(recipe).contains(words);
+    let [of_file, of_rows] = ["its lost motion is", "is the sign of a part of the rows wrong"];
+    assert!(!is_told(&recipe(), of_file) && !is_told(&recipe(), of_rows));
+    for stage in ["ppp", "npp", "pnp", "nnp", "xy-pp", "xy-np", "yz-pp", "yz-np", "zx-pp", "zx-np"] {
+        let (folder, mut recipe) = (temporary(), recipe());
+        let file = recipe.path(stage, "path");
+        recipe.stage(stage)["path"] = json!(changed(&file, folder.path(), "reading_um", times(-1.0)));
+        // Along faces the lost motion of this machine is small.
+        assert!(stage.contains('-') || is_told(&recipe, of_file), "{stage}");
+        let rows = read(&file).lines().filter(|line| !line.starts_with('#')).count() - 1;
+        let half = |row: usize, cell: &str| if 2 * row < rows { cell.to_owned() } else { times(-1.0)(row, cell) };
+        recipe.stage(stage)["path"] = json!(changed(&file, folder.path(), "reading_um", half));
+        assert!(is_told(&recipe, of_rows), "{stage}");
+    }
+}
+
+/// An indexation of the spindle that a file gets wrong shows in its rows alone, and robust weights hide them.
+#[test]
+fn wrong_positions_of_an_axis_are_told_where_their_rows_stand_apart() {
+    let file = Variant::of(&recipes()["first-steps"]).path("touches", "path");
+    let words = "is the column of S right";
+    assert!(!said(&Variant::of(&recipes()["first-steps"])).contains(words));
+    let number = |cell: &str| cell.parse::<f64>().expect("a number");
+    let turned = |_: usize, cell: &str| match number(cell) {
+        0.0 => cell.to_owned(),
+        s => format!("{}", s + 10.0),
+    };
+    let half = |row: usize, cell: &str| format!("{}", number(cell) + if row > 200 { 90.0 } else { 0.0 });
+    let wrong: [&dyn Fn(usize, &str) -> String; 2] = [&turned, &half];
+    for (case, change) in wrong.into_iter().enumerate() {
+        let (folder, mut recipe) = (temporary(), Variant::of(&recipes()["first-steps"]));
+        recipe.stage("touches")["path"] = json!(changed(&file, folder.path(), "S_deg", change));
+        assert!(said(&recipe).contains(words), "{case}: {}", said(&recipe));
+    }
+}
+
+#[test]
+fn copied_poses_are_told_whatever_their_label() {
+    let recipe = Variant::of(&recipes()["positioner"]);
+    let words = "have the numbers of earlier ones to the last digit";
+    assert!(!said(&recipe).contains(words));
+    let file = recipe.path("seen", "path");
+    let text = read(&file);
+    for label in ["week", "run", "group", "series"] {
+        let (folder, mut recipe) = (temporary(), Variant::of(&recipes()["positioner"]));
+        let rows = |number: usize| text.lines().skip(1).map(move |line| format!("{line},{number}"));
+        let header = format!("{},{label}", text.lines().next().expect("a header"));
+        let all: Vec<String> = std::iter::once(header).chain(rows(1)).chain(rows(2)).collect();
+        let copy = folder.path().join("copied.csv");
+        write(&copy, &(all.join("\n") + "\n"));
+        recipe.stage("seen")["path"] = json!(copy);
+        assert!(said(&recipe).contains(words), "{label}: {}", said(&recipe));
+    }
+}
+
+#[test]
+fn copied_rows_of_a_simulation_are_told_with_their_readers() {
+    let folder = temporary();
+    let recipe = recipes()["standards-ball-bar"].clone();
+    let truth = folder.path().join("truth.json");
+    write(&truth, r#"{ "parameters": {}, "noise": { "probing_sigma_mm": 0.0006 } }"#);
+    let out = folder.path().join("simulated");
+    let options = ["--seed".as_ref(), "1".as_ref(), "--out".as_ref(), out.as_os_str()];
+    let arguments = ["simulate".as_ref(), recipe.as_os_str(), "--truth".as_ref(), truth.as_os_str()];
+    let printed = abbe(folder.path(), &[&arguments[..], &options].concat());
+    assert!(printed.stdout.contains("as they were") && printed.stdout.contains("figures"), "{}", printed.stdout);
+}
+
 /// What is said of an estimate before it is made.
 fn remarks(recipe: &Variant) -> Vec<String> {
     let folder = temporary();

@@ -318,3 +318,28 @@ fn files_of_others_stay() {
     let outside = fs::read_dir(at).expect("a folder").flatten().map(|entry| entry.file_name());
     assert!(outside.into_iter().all(|name| !name.to_string_lossy().contains("evil")));
 }
+
+/// What a run tells of its data a merge tells of the job.
+#[test]
+fn remarks_of_jobs_are_told() {
+    let folder = temporary();
+    let at = folder.path();
+    Plant::of(3).write(at);
+    let doubled = at.join("data/m00001/w1.csv");
+    let text = read(&doubled);
+    let rows: Vec<&str> = text.lines().skip(1).collect();
+    write(&doubled, &(text.clone() + &rows.join("\n") + "\n"));
+    ok(&quiet(at, &["fleet", "plan", "fleet.yaml"]));
+    ok(&quiet(at, &["fleet", "run", "fleet.manifest.jsonl", "--workers", "1"]));
+    let merged = quiet(at, &["fleet", "merge", "fleet.manifest.jsonl"]);
+    ok(&merged);
+    assert!(merged.stdout.contains("1 jobs have remarks on their estimates"), "{}", merged.stdout);
+    let jobs = read(&at.join("fleet.merged/jobs.csv"));
+    let counts: Vec<bool> = jobs.lines().skip(1).map(|line| line.ends_with(",0.0")).collect();
+    assert_eq!(counts, [true, false, true], "{jobs}");
+    let remarks = read(&at.join("fleet.merged/remarks.csv"));
+    let told = remarks.lines().any(|line| line.starts_with("weekly-m00001-1,fit,") && line.contains("24 rows"));
+    assert!(told, "{remarks}");
+    let onto = quiet(at, &["fleet", "merge", "fleet.manifest.jsonl", "--out", "recipe.yaml"]);
+    assert!(onto.status == 1 && onto.stderr.contains("name a folder"), "{}", onto.stderr);
+}

@@ -207,6 +207,25 @@ fn a_check_needs_to_know_what_was_repeated() {
     assert!(!small.path("absent").exists());
 }
 
+/// No machine repeats to the last digit: the rows are those of another test, in whatever file.
+#[test]
+fn tests_that_are_copies_are_told() {
+    let folder = temporary();
+    let positioner = crate::support::Variant::of(&crate::support::recipes()["positioner"]);
+    let recipe = positioner.write(folder.path());
+    let at = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    let asked = |arguments: &[&str]| abbe(folder.path(), arguments);
+    let run = asked(&["run", &recipe.to_string_lossy(), "--out", "out"]);
+    assert_eq!(run.status, 0, "{}", run.stderr);
+    for date in ["2026-03-01", "2026-03-02"] {
+        let label = ["--machine", "mill", "--date", date];
+        let added = asked(&[&["history", "add", &at("plant.sqlite"), "out/recipe"][..], &label].concat());
+        assert_eq!(added.status, 0, "{}", added.stderr);
+    }
+    let checked = asked(&["history", "check", &at("plant.sqlite"), "--estimate", "fit"]);
+    assert!(checked.stdout.contains("to the last digit: are its rows those of"), "{}", checked.stdout);
+}
+
 #[test]
 fn machines_that_cannot_be_the_same_are_no_history() {
     let small = Small::new();

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{Identifiability, Kind, Monitor, Problem, Result};
-use abbe_estimation::{comparisons, dead_channels, remarks};
+use abbe_estimation::{dead_channels, remarks};
 use abbe_recipe::Stage;
 
 use crate::batches::InBatches;
@@ -57,7 +57,7 @@ impl Prepared {
             let estimator = &self.estimators[&stage.name];
             let mut identifiability = self.located(stage, estimator.identify(problem))?;
             found.insert(stage.name.clone(), identifiability.clone());
-            identifiability.remarks.extend([remarks(problem), comparisons(problem)].concat());
+            identifiability.remarks.extend([remarks(problem), self.comparisons(stage, problem, &data)].concat());
             identifiability.remarks.extend(dead_channels(problem));
             identifiability.remarks.extend(self.substitutes(stage, problem, &identifiability));
             planned.push(self.planned(stage, problem, identifiability)?);

@@ -10,6 +10,7 @@ mod batches;
 mod check;
 mod circles;
 mod described;
+mod doubts;
 mod evidence;
 mod folder;
 mod given;
@@ -17,6 +18,7 @@ mod groups;
 mod in_order;
 mod kept;
 mod laws;
+pub mod number;
 mod outcome;
 mod parts;
 mod places;
@@ -36,6 +38,7 @@ mod row_settings;
 mod run;
 mod sample;
 mod saved;
+mod sensors;
 mod simulate;
 mod staging;
 mod statuses;
@@ -45,12 +48,13 @@ mod units;
 
 pub use abbe_estimation::{
     Contradicted, LocationError, LocationErrors, Standing, contradicted, copied_runs, gathered_outliers,
-    repeated_in_words,
+    quiet_channels, repeated_in_words,
 };
 pub use abbe_measuring::Control;
 pub use abbe_planning::{LargestOfInput, Order, Plan, PlanFigures, Reached, Revisit};
 pub use check::Planned;
 pub use described::{Described, prepare_text};
+pub use doubts::doubts;
 pub use folder::{can_write_folder, write_folder};
 pub use given::{Given, prepare_given};
 pub use groups::day_of;

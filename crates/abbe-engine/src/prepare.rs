@@ -20,6 +20,7 @@ use crate::record::{FileRecord, PluginRecord};
 use crate::row_settings::ArtefactRowSettings;
 use crate::run::{has_problem, has_rows};
 use crate::saved::{self, SavedCalibration};
+use crate::staging::refuse_temporary;
 
 /// The stages of a recipe, built and checked as far as that goes without data rows.
 pub struct Prepared {
@@ -107,6 +108,8 @@ pub(crate) fn built(recipe: Recipe, registry: &Registry, given: &Given) -> Resul
                 let error = Error::usage(message).help(help).setting(setting);
                 prepared.recipe.locate(error.stage(&stage.name))
             };
+            refuse_temporary(&path)
+                .map_err(|error| prepared.recipe.locate(error.setting(setting).stage(&stage.name)))?;
             let size = match abbe_files::open(&path).and_then(|file| file.metadata()) {
                 Ok(found) => found.len(),
                 Err(error) if error.kind() == io::ErrorKind::NotFound => {
@@ -132,6 +135,7 @@ pub(crate) fn built(recipe: Recipe, registry: &Registry, given: &Given) -> Resul
         }
     }
     prepared.files.dedup();
+    prepared.files.iter().try_for_each(|file| refuse_temporary(file))?;
     for stage in &prepared.recipe.stages {
         prepared.check_stage(stage).map_err(|error| prepared.recipe.locate(error.stage(&stage.name)))?;
     }

@@ -88,13 +88,37 @@ impl Prepared {
 
     /// The same; whether doubts about the times of the data are told.
     pub(crate) fn machine_of(&self, stage: &Stage, data: &Datasets, tells: bool) -> Result<Arc<dyn KinematicModel>> {
-        let named = stage.reference("machine").first().or(stage.reference("of").first());
-        if let Some(name) = named {
-            let other = self.recipe_stage(name)?;
-            if other.kind == Kind::Estimate {
-                return self.machine_of(other, data, tells);
-            }
+        let stage = self.built_for(stage)?;
+        let (machine, _) = self.machine(stage)?;
+        let logs = self.logs(machine, |log| Ok(data[log].clone()))?;
+        if tells {
+            tell_minutes(&self.rows_of(stage, data)?, &logs);
         }
+        self.machine_with(stage, data, &logs)
+    }
+
+    /// The estimate that the machine of an estimate is built for.
+    pub(crate) fn built_for<'a>(&'a self, stage: &'a Stage) -> Result<&'a Stage> {
+        let named = stage.reference("machine").first().or(stage.reference("of").first());
+        let other = named.map(|name| self.recipe_stage(name)).transpose()?;
+        other.filter(|other| other.kind == Kind::Estimate).map_or(Ok(stage), |other| self.built_for(other))
+    }
+
+    /// The machine that is built for an estimate, with other logs.
+    pub(crate) fn machine_with(
+        &self,
+        stage: &Stage,
+        data: &Datasets,
+        logs: &[Dataset],
+    ) -> Result<Arc<dyn KinematicModel>> {
+        let (machine, model) = self.machine(stage)?;
+        let rows = self.rows_of(stage, data)?;
+        let used: Vec<&Dataset> = rows.into_iter().map(|(_, rows)| rows).chain(logs).collect();
+        model.build(&used).map_err(|error| error.stage(&machine.name))
+    }
+
+    /// The rows that an estimate observes, with the names of their ingest stages.
+    fn rows_of<'a>(&'a self, stage: &'a Stage, data: &'a Datasets) -> Result<Vec<(&'a str, &'a Dataset)>> {
         let names = stage.reference("observations");
         let mut rows: Vec<(&str, &Dataset)> = Vec::new();
         for name in names {
@@ -103,13 +127,7 @@ impl Prepared {
                 rows.push((ingest, data[ingest].as_ref()));
             }
         }
-        let (machine, model) = self.machine(stage)?;
-        let logs = self.logs(machine, |log| Ok(data[log].clone()))?;
-        if tells {
-            tell_minutes(&rows, &logs);
-        }
-        let used: Vec<&Dataset> = rows.into_iter().map(|(_, rows)| rows).chain(&logs).collect();
-        model.build(&used).map_err(|error| error.stage(&machine.name))
+        Ok(rows)
     }
 
     /// The observation sets of some artefact stages on a machine.

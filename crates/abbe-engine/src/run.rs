@@ -9,7 +9,7 @@ use abbe_core::{
     Class, DataRecord, Dataset, Error, EstimateSource, Event, Export, ExportedFile, Findings, Fit, Kind, Monitor,
     ObservationSet, Problem, Result, Verdict, in_parallel,
 };
-use abbe_estimation::{comparisons, copies, remarks};
+use abbe_estimation::{copies, remarks};
 use abbe_recipe::Stage;
 
 use crate::batches::{InBatches, Sources};
@@ -97,7 +97,8 @@ impl Prepared {
             let is_there = fits.iter().any(|fit| fit.name == *name);
             let mut texts = Vec::new();
             if is_there {
-                let compared = comparisons(problem);
+                let compared =
+                    self.recipe_stage(name).map(|stage| self.comparisons(stage, problem, &data)).unwrap_or_default();
                 compared.iter().for_each(|remark| tracing::warn!("{name}: {remark}"));
                 texts.extend([remarks(problem), copies(problem), compared].into_iter().flatten());
             }
@@ -106,7 +107,7 @@ impl Prepared {
         let of_fits = problems.iter().filter(|(_, problem)| !problem.sets.is_empty()).flat_map(told);
         let of_groups = self.copied_groups(&fits, &problems);
         of_groups.iter().for_each(|remark| tracing::warn!("{}: {}", remark.estimate, remark.text));
-        let remarks = of_fits.chain(of_groups).chain(shown).collect();
+        let remarks = of_fits.chain(of_groups).chain(shown).chain(crate::doubts::remarks(&fits)).collect();
         unchanged(&seen, &inputs)?;
         Ok(Outcome {
             recipe: self.recipe.id.clone(),

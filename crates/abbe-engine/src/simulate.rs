@@ -45,6 +45,8 @@ pub struct SimulatedFile {
     pub measured: usize,
     /// Rows that no artefact uses; they are copied without change.
     pub copied: usize,
+    /// The stages that use what is read from it.
+    pub read_by: BTreeSet<String>,
 }
 
 /// A data file of which no row is simulated.
@@ -96,7 +98,8 @@ impl Prepared {
                 let comment = comment(&named, seed, copied);
                 let (table, packing) = abbe_files::content_of(content).map_err(of_packing)?;
                 content = packing.pack(abbe_table::with_cells_laid_out(source, &table, cells, &layout, &comment)?);
-                data.push(SimulatedFile { file: place.clone(), measured: cells.len(), copied });
+                let read_by = readers.get(source).cloned().unwrap_or_default();
+                data.push(SimulatedFile { file: place.clone(), measured: cells.len(), copied, read_by });
             } else if let Some(read_by) = readers.get(source) {
                 not_simulated.push(UnchangedFile { file: place.clone(), read_by: read_by.clone() });
             }

@@ -183,6 +183,23 @@ fn is_temporary(name: &str) -> bool {
     random.len() == RANDOM && random.chars().all(|letter| letter.is_ascii_alphanumeric())
 }
 
+/// Refuses a file that is, or lies in, something with a name of temporary folders: a later command takes it for what a killed one has left,
+/// and removes it. Results of a recipe have its name, without the ending.
+pub(crate) fn refuse_temporary(file: &Path) -> Result<()> {
+    let absolute = std::path::absolute(file).unwrap_or_else(|_| file.to_path_buf());
+    let names = absolute.components().map(|part| part.as_os_str()).chain(absolute.file_stem());
+    match names.map(|name| name.to_string_lossy()).find(|name| is_temporary(name)) {
+        Some(name) => {
+            let message = format!(
+                "{}: `{name}` is a name of temporary folders of this program, which are removed",
+                file.display()
+            );
+            Err(Error::usage(message).help("give it another name"))
+        }
+        None => Ok(()),
+    }
+}
+
 /// Removes the temporary folders and files whose owner is dead.
 fn remove_abandoned(parent: &Path) -> io::Result<()> {
     for entry in fs::read_dir(parent)?.flatten() {

@@ -43,7 +43,7 @@ fn faults(problem: &Problem) -> Vec<(bool, String)> {
         let Some(columns) = columns.filter(|columns| !columns.is_empty()) else { continue };
         let quantity = data.column(&names[0]).map_or(Quantity::Length, |column| column.header.quantity);
         let (unit, factor) = Unit::for_people(Unit { of: quantity, per: None, and_per: None });
-        let uncertainty = uncertainties.get(&index).copied();
+        let uncertainty = uncertainties.get(&index).map(|least| least.of(quantity)).filter(|least| least.is_finite());
         let files = by_file(set);
         let is_still = |rows: &[DataRow]| {
             rows.len() >= SEVERAL && columns.iter().all(|column| rows.iter().all(|row| column[*row] == column[rows[0]]))

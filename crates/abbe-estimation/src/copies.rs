@@ -1,6 +1,7 @@
 //! Rows that are copies of others, and repetitions without scatter: readings that say less than they seem to.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::f64::consts::PI;
 
 use abbe_core::{
     Column, ColumnHeader, Contact, DataRow, Dataset, ObservationSet, Problem, Quantity, RowOrigin, SetIndex, Values,
@@ -45,38 +46,57 @@ fn copied(problem: &Problem) -> Vec<String> {
     problem.sets.iter().filter_map(of_set).collect()
 }
 
-/// Largest step of the digits of readings, over their standard uncertainty, with which they are told apart: then ten in turn agree by chance
-/// once in some hundred million runs (0.14 to the power of ten).
-const FINE: f64 = 0.5;
+/// Logarithm of the probability below which rows in turn agree by chance: that of ten rows with one reading each whose digits have half
+/// the size of its standard uncertainty (0.14 to the power of ten), once in some hundred million runs.
+const BY_CHANCE: f64 = -19.6;
+
+/// Most rows in turn that are asked for: coarser readings are not told.
+const MOST_IN_TURN: usize = 200;
 
 /// Sentences on rows that follow each other as earlier ones do, the same in every number, whatever their labels say: one run, or what was
-/// touched at one indexation, in the place of another. Readings of coarse digits agree by chance and are not told. They are for data that
+/// touched at one indexation, in the place of another. Readings of coarse digits agree by chance: it takes more of them. They are for data that
 /// are not exact: exact runs repeat to the last digit.
 pub fn copied_runs(problem: &Problem) -> Vec<String> {
     let uncertainties = least_uncertainties(problem);
     let sets = SetIndex::enumerate(&problem.sets).filter_map(|(index, set)| Some((set, *uncertainties.get(&index)?)));
-    let sets: Vec<(&ObservationSet, f64)> = sets.collect();
-    let within: Vec<String> = sets.iter().filter_map(|(set, uncertainty)| copied_within(set, *uncertainty)).collect();
+    let sets: Vec<(&ObservationSet, Least)> = sets.collect();
+    let within: Vec<String> = sets.iter().filter_map(|(set, least)| copied_within(set, *least)).collect();
     // Sets with copies of their own would tell them again.
     if within.is_empty() { copied_across(&sets) } else { within }
 }
 
-/// The smallest standard uncertainty of the readings of every set.
-pub(crate) fn least_uncertainties(problem: &Problem) -> BTreeMap<SetIndex, f64> {
-    let mut uncertainties: BTreeMap<SetIndex, f64> = BTreeMap::new();
-    let equations =
-        problem.equation_rows().into_iter().zip(problem.standard_uncertainties()).zip(problem.constraints());
-    for (((set, _), u), _) in equations.filter(|(_, is_known)| !is_known) {
-        let least = uncertainties.entry(set).or_insert(u);
-        *least = u.min(*least);
+/// The smallest standard uncertainties of readings, mm and rad; infinite where nothing is read.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Least {
+    length: f64,
+    angle: f64,
+}
+
+impl Least {
+    /// That of a quantity.
+    pub fn of(self, quantity: Quantity) -> f64 {
+        if quantity == Quantity::Angle { self.angle } else { self.length }
+    }
+}
+
+/// The smallest standard uncertainties of the readings of every set.
+pub(crate) fn least_uncertainties(problem: &Problem) -> BTreeMap<SetIndex, Least> {
+    let mut uncertainties: BTreeMap<SetIndex, Least> = BTreeMap::new();
+    let equations = problem.equation_rows().into_iter().zip(problem.standard_uncertainties());
+    let equations = equations.zip(problem.quantities()).zip(problem.constraints());
+    for ((((set, _), u), quantity), _) in equations.filter(|(_, is_known)| !is_known) {
+        let least = uncertainties.entry(set).or_insert(Least { length: f64::INFINITY, angle: f64::INFINITY });
+        let own = if quantity == Quantity::Angle { &mut least.angle } else { &mut least.length };
+        *own = u.min(*own);
     }
     uncertainties
 }
 
 /// Copies within one set.
-fn copied_within(set: &ObservationSet, uncertainty: f64) -> Option<String> {
+fn copied_within(set: &ObservationSet, uncertainty: Least) -> Option<String> {
     let data = &set.info().layout.data;
-    let (count, first) = copied_rows(data, fine_rows(set, uncertainty)?, IN_TURN, true)?;
+    let (rows, in_turn) = telling_rows(set, uncertainty)?;
+    let (count, first) = copied_rows(data, rows, in_turn, true)?;
     // Told already.
     if copied_rows(data, rows_of(set), IN_TURN, false).is_some() {
         return None;
@@ -92,17 +112,19 @@ fn copied_within(set: &ObservationSet, uncertainty: f64) -> Option<String> {
 }
 
 /// Copies of rows of one set in another that reads other files with the same columns of numbers.
-fn copied_across(sets: &[(&ObservationSet, f64)]) -> Vec<String> {
+fn copied_across(sets: &[(&ObservationSet, Least)]) -> Vec<String> {
     let mut found = Vec::new();
     for (place, (other, uncertainty)) in sets.iter().enumerate() {
-        let Some(rows) = fine_rows(other, *uncertainty) else { continue };
+        let Some((rows, in_turn)) = telling_rows(other, *uncertainty) else { continue };
         for (one, own) in &sets[..place] {
             let [first, second] = [one, other].map(|set| &set.info().layout.data);
             if first.files.iter().any(|file| second.files.contains(file)) {
                 continue;
             }
-            let Some(earlier) = fine_rows(one, *own) else { continue };
-            let Some((count, lines)) = copied_between((first, earlier), (second, &rows)) else { continue };
+            let Some((earlier, also)) = telling_rows(one, *own) else { continue };
+            let Some((count, lines)) = copied_between((first, earlier), (second, &rows), in_turn.max(also)) else {
+                continue;
+            };
             found.push(format!(
                 "{} and {}: {count} rows have the same numbers to the last digit (the first: {} of `{}` and {} of `{}`): are \
                  they copies? Each counts as a measurement of its own",
@@ -126,6 +148,7 @@ fn file_of(data: &Dataset, row: DataRow) -> String {
 fn copied_between(
     (first, earlier): (&Dataset, Vec<DataRow>),
     (second, rows): (&Dataset, &[DataRow]),
+    in_turn: usize,
 ) -> Option<(usize, [DataRow; 2])> {
     let numbers = |data: &Dataset| {
         let columns = data.columns.iter().filter(|column| column.header.quantity != Quantity::Time);
@@ -149,7 +172,7 @@ fn copied_between(
     let origins = first.origins.iter().chain(&second.origins).copied().collect();
     let both = Dataset { columns: one.into_iter().map(column).collect(), origins, ..Dataset::default() };
     let later = rows.iter().map(|row| DataRow(row.0 + count));
-    let (found, [early, late]) = copied_rows(&both, earlier.into_iter().chain(later), IN_TURN, true)?;
+    let (found, [early, late]) = copied_rows(&both, earlier.into_iter().chain(later), in_turn, true)?;
     Some((found, [early, DataRow(late.0 - count)]))
 }
 
@@ -158,20 +181,46 @@ fn rows_of(set: &ObservationSet) -> BTreeSet<DataRow> {
     set.rows.iter().filter_map(|&row| set.info().layout.rows[row].data_row).collect()
 }
 
-/// Those whose file has readings with digits that are fine enough to tell copies; none where nothing is read.
-fn fine_rows(set: &ObservationSet, uncertainty: f64) -> Option<Vec<DataRow>> {
+/// Those of files with readings that tell copies, and how many in turn it takes: the coarser the digits, the more; none where nothing is
+/// read.
+fn telling_rows(set: &ObservationSet, uncertainty: Least) -> Option<(Vec<DataRow>, usize)> {
     let data = &set.info().layout.data;
     let columns = read_columns(set)?;
+    let is_each_read = !matches!(set.info().contact, Contact::LinearAxes | Contact::NotSimulated(_));
     let mut files: BTreeMap<usize, Vec<DataRow>> = BTreeMap::new();
     rows_of(set).into_iter().for_each(|row| files.entry(data.origins[row].file).or_default().push(row));
-    files.retain(|_, rows| columns.iter().any(|column| step(column, rows) < FINE * uncertainty));
+    let mut in_turn = IN_TURN;
+    files.retain(|_, rows| {
+        let agreeing = columns.iter().map(|column| agreement(step(column.1, rows), uncertainty.of(column.0)));
+        // Where axes move until contact, what was measured is in one of their positions.
+        let of_a_row = if is_each_read { agreeing.sum::<f64>() } else { agreeing.fold(0.0, f64::min) };
+        let needed = if of_a_row < 0.0 { (BY_CHANCE / of_a_row).ceil() } else { f64::INFINITY };
+        if needed <= MOST_IN_TURN as f64 {
+            in_turn = in_turn.max(needed as usize);
+        }
+        needed <= MOST_IN_TURN as f64
+    });
     let mut rows: Vec<DataRow> = files.into_values().flatten().collect();
     rows.sort_unstable();
-    Some(rows)
+    Some((rows, in_turn))
+}
+
+/// Step of the digits of readings, over their standard uncertainty, from which on nothing is told: they may repeat although their noise is
+/// small.
+const COARSE: f64 = 1.0;
+
+/// Logarithm of the probability that two readings of one thing are the same, by the step of their digits: the density of a difference of
+/// two normal errors at zero, times the step.
+fn agreement(step: f64, uncertainty: f64) -> f64 {
+    if uncertainty.is_finite() && step < COARSE * uncertainty {
+        (step / (2.0 * PI.sqrt() * uncertainty)).ln()
+    } else {
+        0.0
+    }
 }
 
 /// The columns of numbers that are measured.
-fn read_columns(set: &ObservationSet) -> Option<Vec<&[f64]>> {
+fn read_columns(set: &ObservationSet) -> Option<Vec<(Quantity, &[f64])>> {
     let info = set.info();
     let data = &info.layout.data;
     let names: Vec<&str> = match &info.contact {
@@ -186,7 +235,7 @@ fn read_columns(set: &ObservationSet) -> Option<Vec<&[f64]>> {
             .map(|column| column.header.name.as_str())
             .collect(),
     };
-    names.into_iter().map(|name| data.numbers(name)).collect()
+    names.into_iter().map(|name| Some((data.column(name)?.header.quantity, data.numbers(name)?))).collect()
 }
 
 /// The smallest difference of two numbers of a column: the step of its digits.

@@ -1,8 +1,8 @@
-//! Outliers that are no single gross errors: they gather where one axis stands elsewhere.
+//! Outliers and large residuals that are no single gross errors: they gather where one axis stands.
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Calibration, ObservationSet, Outlier, Problem, RowIndex, StatusRole};
+use abbe_core::{Axis, AxisKind, Calibration, ObservationSet, Outlier, Problem, RowIndex, SetIndex, StatusRole};
 use abbe_numerics::drawn_by_chance;
 
 /// Probability, of all groups of a set together, below which outliers have not gathered by chance.
@@ -14,69 +14,176 @@ const SEVERAL: usize = 3;
 /// Two commands of an axis are one place if they differ by less, mm or rad.
 const SAME: f64 = 1e-3;
 
-/// The rows of a set with an axis away from where it usually stands, and the outliers among them.
-struct Away {
+/// Most places of an axis whose rows are looked at, and the fewest rows of one.
+const PLACES: usize = 100;
+const ROWS: usize = 5;
+
+/// How many times the median of all residuals is far: of normal ones 4 of 100.
+const FAR: f64 = 3.0;
+
+/// Residuals of exact data, in standard uncertainties, whose rounding gathers where axes are.
+const EXACT: f64 = 0.05;
+
+/// Part of the rows of a group that are far if something is wrong with it, and of the others if nothing is.
+const MOST: f64 = 0.5;
+const FEW: f64 = 0.2;
+
+/// Rows of a set with an axis where it is not usually, or at one place, and those among them that are told apart.
+struct Group {
     axis: String,
+    /// The place, mm or degrees; none for all that are not the usual one.
+    place: Option<String>,
     rows: usize,
-    outliers: usize,
+    told: usize,
 }
 
-/// Sentences on sets whose outliers gather in the rows in which one axis is not where it usually is: its column may be wrong, or the
-/// machine lacks an error that this axis shows. Robust weights hide such rows, and what they would tell.
+impl Group {
+    fn words(&self) -> String {
+        let Self { axis, place, .. } = self;
+        match place {
+            Some(place) => format!("{axis} is at {place}"),
+            None => format!("{axis} is not where it usually is"),
+        }
+    }
+}
+
+/// Sentences on sets whose outliers, or else whose large residuals, gather in rows in which one axis is not where it usually is, or at
+/// one place: its column may be wrong, or the machine lacks an error that this axis shows. Robust weights hide such rows, and what they
+/// would tell.
 pub fn gathered_outliers(problem: &Problem, calibration: &Calibration) -> Vec<String> {
-    problem.sets.iter().filter_map(|set| of_set(problem, set, &calibration.outliers)).collect()
+    let sizes = sizes(problem, calibration);
+    let sets = SetIndex::enumerate(&problem.sets);
+    sets.filter_map(|(index, set)| {
+        of_outliers(problem, set, &calibration.outliers)
+            .or_else(|| of_large_residuals(problem, set, sizes.get(index.0)?))
+    })
+    .collect()
 }
 
-fn of_set(problem: &Problem, set: &ObservationSet, outliers: &[Outlier]) -> Option<String> {
+fn of_outliers(problem: &Problem, set: &ObservationSet, outliers: &[Outlier]) -> Option<String> {
     let layout = &set.info().layout;
     let own: Vec<&Outlier> = outliers.iter().filter(|outlier| outlier.stage == set.name).collect();
-    if own.len() < SEVERAL {
-        return None;
-    }
     let is_out = |row: &RowIndex| {
         let Some(row) = layout.rows[*row].data_row else { return false };
         let origin = layout.data.origins[row];
         let file = layout.data.files[origin.file].display().to_string();
         own.iter().any(|out| (out.line, out.row) == (origin.line, origin.row) && out.file == file)
     };
-    let rows: Vec<(RowIndex, bool)> = set.rows.iter().map(|row| (*row, is_out(row))).collect();
-    let all = rows.iter().filter(|(_, is_out)| *is_out).count();
-    let groups = away(problem, set, &rows);
-    let chance = |group: &Away| drawn_by_chance(rows.len(), group.rows, all, group.outliers);
-    let several = groups.iter().filter(|group| group.outliers >= SEVERAL);
-    let told = several.min_by(|one, other| chance(one).total_cmp(&chance(other)))?;
-    (chance(told) * (groups.len() as f64) < BY_CHANCE).then(|| {
-        let Away { axis, rows: count, outliers } = told;
-        format!(
-            "{outliers} of the {count} rows of {} in which {axis} is not where it usually is are outliers, and {} of the {} others: is \
-             the column of {axis} right, or does the machine lack an error of it?",
-            set.name,
-            all - outliers,
-            rows.len() - count
-        )
-    })
+    let rows: Vec<(RowIndex, bool)> = set.rows.iter().map(|row| (*row, !own.is_empty() && is_out(row))).collect();
+    let (told, all) = gathered(problem, set, &rows, |_| true)?;
+    Some(format!(
+        "{} of the {} rows of {} in which {} are outliers, and {} of the {} others: is the column of {} right, or does the machine lack an \
+         error of it?",
+        told.told,
+        told.rows,
+        set.name,
+        told.words(),
+        all - told.told,
+        rows.len() - told.rows,
+        told.axis
+    ))
 }
 
-/// For each axis that stands in one place in most rows: the others.
-fn away(problem: &Problem, set: &ObservationSet, rows: &[(RowIndex, bool)]) -> Vec<Away> {
+/// The largest residual of each row in standard uncertainties, by sets; NaN without a residual.
+fn sizes(problem: &Problem, calibration: &Calibration) -> Vec<Vec<f64>> {
+    let Ok(residuals) = problem.residuals(&problem.values_of(calibration)) else { return Vec::new() };
+    let mut equations = residuals.into_iter().zip(problem.standard_uncertainties());
+    let of_set = |set: &ObservationSet| {
+        let layout = &set.info().layout;
+        let of_row = |row: &RowIndex| {
+            let own = equations.by_ref().take(layout.rows[*row].equations);
+            own.map(|(residual, u)| (residual / u).abs()).fold(f64::NAN, f64::max)
+        };
+        set.rows.iter().map(of_row).collect()
+    };
+    problem.sets.iter().map(of_set).collect()
+}
+
+fn of_large_residuals(problem: &Problem, set: &ObservationSet, sizes: &[f64]) -> Option<String> {
+    let mut sorted: Vec<f64> = sizes.iter().copied().filter(|size| size.is_finite()).collect();
+    sorted.sort_by(f64::total_cmp);
+    let usual = sorted.get(sorted.len() / 2).copied().filter(|usual| *usual > EXACT)?;
+    let rows: Vec<(RowIndex, bool)> =
+        set.rows.iter().zip(sizes).map(|(row, size)| (*row, *size > FAR * usual)).collect();
+    let all = rows.iter().filter(|(_, is_far)| *is_far).count();
+    let is_wrong = |group: &Group| {
+        let others = rows.len() - group.rows;
+        group.told as f64 > MOST * group.rows as f64 && ((all - group.told) as f64) < FEW * others as f64
+    };
+    let (told, _) = gathered(problem, set, &rows, is_wrong)?;
+    Some(format!(
+        "the residuals of {} of the {} rows of {} in which {} are more than {FAR} times the usual ones, and of {} of the {} others: is the \
+         column of {} right, or does the machine lack an error of it?",
+        told.told,
+        told.rows,
+        set.name,
+        told.words(),
+        all - told.told,
+        rows.len() - told.rows,
+        told.axis
+    ))
+}
+
+/// The group in which rows that are told apart have gathered most, if not by chance, and how many of these there are.
+fn gathered(
+    problem: &Problem,
+    set: &ObservationSet,
+    rows: &[(RowIndex, bool)],
+    is_wrong: impl Fn(&Group) -> bool,
+) -> Option<(Group, usize)> {
+    let all = rows.iter().filter(|(_, is_told)| *is_told).count();
+    if all < SEVERAL {
+        return None;
+    }
+    let groups = groups(problem, set, rows);
+    let count = groups.len() as f64;
+    let chance = |group: &Group| drawn_by_chance(rows.len(), group.rows, all, group.told);
+    let several = groups.into_iter().filter(|group| group.told >= SEVERAL && is_wrong(group));
+    let told = several.min_by(|one, other| chance(one).total_cmp(&chance(other)))?;
+    (chance(&told) * count < BY_CHANCE).then_some((told, all))
+}
+
+/// For each axis the rows that are not at its usual place, if it has one, and those of each place if there are not many.
+fn groups(problem: &Problem, set: &ObservationSet, rows: &[(RowIndex, bool)]) -> Vec<Group> {
     let (info, layout) = (problem.model.info(), &set.info().layout);
     let axes = info.status.iter().enumerate().filter_map(|(column, status)| match status.role {
-        StatusRole::Command(axis) => Some((column, info.axes[axis].name.clone())),
+        StatusRole::Command(axis) => Some((column, &info.axes[axis])),
         _ => None,
     });
-    let of_axis = |(column, axis): (usize, String)| {
+    let of_axis = |(column, axis): (usize, &Axis)| {
         let place = |row: RowIndex| {
             let pose = layout.rows[row].pose_indices().next()?;
             Some((layout.poses.row(pose)[column] / SAME).round() as i64)
         };
-        let places = rows.iter().filter_map(|(row, is_out)| Some((place(*row)?, *is_out)));
-        let places: Vec<(i64, bool)> = places.collect();
-        let mut counts: BTreeMap<i64, usize> = BTreeMap::new();
-        places.iter().for_each(|(place, _)| *counts.entry(*place).or_default() += 1);
-        let (usual, count) = counts.into_iter().max_by_key(|(_, count)| *count)?;
-        let others = || places.iter().filter(|(place, _)| *place != usual);
-        let outliers = others().filter(|(_, is_out)| *is_out).count();
-        (2 * count > places.len()).then(|| Away { axis, rows: others().count(), outliers })
+        // Rows of each place, and those among them that are told apart.
+        let mut counts: BTreeMap<i64, [usize; 2]> = BTreeMap::new();
+        for (row, is_told) in rows {
+            if let Some(place) = place(*row) {
+                let [rows, told] = counts.entry(place).or_default();
+                *rows += 1;
+                *told += usize::from(*is_told);
+            }
+        }
+        let sum = |of: usize| counts.values().map(|own| own[of]).sum::<usize>();
+        let [all, all_told] = [0, 1].map(sum);
+        let usual = counts.values().copied().max_by_key(|own| own[0]).filter(|own| 2 * own[0] > all);
+        let away = usual.map(|[rows, told]| Group {
+            axis: axis.name.clone(),
+            place: None,
+            rows: all - rows,
+            told: all_told - told,
+        });
+        let places = counts.iter().filter(|(_, own)| counts.len() <= PLACES && own[0] >= ROWS && own[0] < all);
+        let at = places.map(|(place, [rows, told])| Group {
+            axis: axis.name.clone(),
+            place: Some(match axis.kind {
+                AxisKind::Linear => format!("{} mm", *place as f64 * SAME),
+                AxisKind::Rotary => format!("{:.1} deg", (*place as f64 * SAME).to_degrees()),
+            }),
+            rows: *rows,
+            told: *told,
+        });
+        away.into_iter().chain(at).filter(|group| group.rows > 0).collect::<Vec<_>>()
     };
-    axes.filter_map(of_axis).filter(|away| away.rows > 0).collect()
+    axes.flat_map(of_axis).collect()
 }

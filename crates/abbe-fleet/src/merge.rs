@@ -35,6 +35,8 @@ pub struct Merged {
     pub failed: Vec<(String, String)>,
     /// Jobs that nobody has done.
     pub open: usize,
+    /// Jobs with remarks on their estimates.
+    pub remarked: usize,
 }
 
 /// Puts the results of all jobs together, in the order of the manifest: tables in `out`, calibrations as files on request (`files`), entries
@@ -55,7 +57,7 @@ pub fn merge(
         none_open(manifest)?;
     }
     let (mut last, mut shards, mut families) = (None, Vec::new(), Vec::new());
-    fs::create_dir_all(out).map_err(|error| unwritable(out, &error))?;
+    fs::create_dir_all(out).map_err(|error| unwritable(out, &error).help("name a folder: `--out`"))?;
     for family in &manifest.head.families {
         families.push(family.trials_of.as_deref());
     }
@@ -117,6 +119,7 @@ struct Tables {
     parameters: Table,
     verdicts: Table,
     distributions: Table,
+    remarks: Table,
 }
 
 impl Tables {
@@ -124,7 +127,15 @@ impl Tables {
         use Column::{Number, Text};
         const JOB: [Column; 5] = [Text("job"), Text("machine"), Text("label"), Number("at"), Text("unit_of_time")];
         let of_job = |rest: &[Column]| [&JOB, rest].concat();
-        let jobs = [Text("job"), Text("family"), Text("state"), Text("decision"), Text("reason"), Text("variables")];
+        let jobs = [
+            Text("job"),
+            Text("family"),
+            Text("state"),
+            Text("decision"),
+            Text("reason"),
+            Text("variables"),
+            Number("remarks"),
+        ];
         let parameters = [
             Text("estimate"),
             Text("parameter"),
@@ -163,15 +174,17 @@ impl Tables {
             parameters: Table::new(out, "parameters", &of_job(&parameters))?,
             verdicts: Table::new(out, "verdicts", &of_job(&verdicts))?,
             distributions: Table::new(out, "distributions", &of_job(&distributions))?,
+            remarks: Table::new(out, "remarks", &[Text("job"), Text("stage"), Text("remark")])?,
         })
     }
 
     fn check(&self, own: &OwnFiles) -> Result<()> {
-        [&self.jobs, &self.parameters, &self.verdicts, &self.distributions].into_iter().try_for_each(|it| it.check(own))
+        let all = [&self.jobs, &self.parameters, &self.verdicts, &self.distributions, &self.remarks];
+        all.into_iter().try_for_each(|it| it.check(own))
     }
 
     fn finish(self, own: &mut OwnFiles) -> Result<()> {
-        let mut all = [self.jobs, self.parameters, self.verdicts, self.distributions].into_iter();
+        let mut all = [self.jobs, self.parameters, self.verdicts, self.distributions, self.remarks].into_iter();
         all.try_for_each(|table| table.finish(own))
     }
 }
@@ -225,11 +238,11 @@ impl Merging<'_> {
         let missing = blocks.missing;
         if missing > 0 {
             let reason = format!("{missing} of its blocks have no result");
-            return self.told(&job, &trials.of, "failed", "", &reason);
+            return self.failed(&job, &trials.of, &reason);
         }
         match blocks.found(&self.manifest.head.families[job.family], &job, stage, registries) {
             Ok(found) => self.found(&job, &trials.of, found, true),
-            Err(error) => self.told(&job, &trials.of, "failed", "", &error.to_string()),
+            Err(error) => self.failed(&job, &trials.of, &error.to_string()),
         }
     }
 
@@ -247,7 +260,7 @@ impl Merging<'_> {
         let missing = shards.iter().filter(|job| !self.store.has(&job.job)).count();
         if missing > 0 {
             let reason = format!("{missing} of its shards have no result");
-            return self.told(&shards[0], &of, "failed", "", &reason);
+            return self.failed(&shards[0], &of, &reason);
         }
         let estimate = Estimate::new(&self.manifest.head.families[shards[0].family], &shards, &self.store, registries)?;
         match estimate.of_all().and_then(|answer| match answer {
@@ -261,34 +274,46 @@ impl Merging<'_> {
             }
             Ok(None) => {
                 self.merged.open += 1;
-                self.row_of_job(&shards[0], &of, "open", "", "")
+                self.row_of_job(&shards[0], &of, ["open", "", ""], Cell::Missing)
             }
-            Err(error) => self.told(&shards[0], &of, "failed", "", &error.to_string()),
+            Err(error) => self.failed(&shards[0], &of, &error.to_string()),
         }
     }
 
     /// A job without a result.
     fn without(&mut self, job: &Job, name: &str) -> Result<()> {
         match job.refused.clone().or_else(|| self.store.failure(&job.job)) {
-            Some(reason) => self.told(job, name, "failed", "", &reason),
+            Some(reason) => self.failed(job, name, &reason),
             None => {
                 self.merged.open += 1;
-                self.row_of_job(job, name, "open", "", "")
+                self.row_of_job(job, name, ["open", "", ""], Cell::Missing)
             }
         }
     }
 
-    fn told(&mut self, job: &Job, name: &str, state: &str, decision: &str, reason: &str) -> Result<()> {
-        if !reason.is_empty() {
-            self.merged.failed.push((name.to_owned(), reason.to_owned()));
-        }
-        self.row_of_job(job, name, state, decision, reason)
+    /// Adds a job without a result, and the reason.
+    fn failed(&mut self, job: &Job, name: &str, reason: &str) -> Result<()> {
+        self.merged.failed.push((name.to_owned(), reason.to_owned()));
+        self.row_of_job(job, name, ["failed", "", reason], Cell::Missing)
     }
 
-    fn row_of_job(&mut self, job: &Job, name: &str, state: &str, decision: &str, reason: &str) -> Result<()> {
+    /// Adds a row with the state of a job, its decision and the reason, and the number of remarks.
+    fn row_of_job(&mut self, job: &Job, name: &str, told: [&str; 3], remarks: Cell<'_>) -> Result<()> {
         let family = &self.manifest.head.families[job.family].name;
         let variables = Value::Object(job.variables.clone()).to_string();
-        self.tables.jobs.push(&[name, family, state, decision, reason, &variables].map(Cell::Text))
+        let [state, decision, reason] = told;
+        let texts = [name, family, state, decision, reason, &variables].map(Cell::Text);
+        self.tables.jobs.push(&[&texts[..], &[remarks]].concat())
+    }
+
+    /// Adds what users should know of estimates, and what validators say.
+    fn remarks(&mut self, name: &str, found: &Found) -> Result<()> {
+        let of_estimates = found.remarks.iter().map(|remark| (&remark.estimate, &remark.text));
+        let of_verdicts = found.verdicts.iter().flat_map(|own| own.remarks.iter().map(|text| (&own.stage, text)));
+        self.merged.remarked += usize::from(!found.remarks.is_empty());
+        of_estimates
+            .chain(of_verdicts)
+            .try_for_each(|(stage, text)| self.tables.remarks.push(&[name, stage, text].map(Cell::Text)))
     }
 
     /// Adds what a run found.
@@ -298,7 +323,13 @@ impl Merging<'_> {
             .collect();
         let decision = Decision::of_all(found.verdicts.iter().map(|verdict| verdict.decision)).to_string();
         let state = if failures.is_empty() { "done" } else { "incomplete" };
-        self.told(job, name, state, &decision, &failures.join("; "))?;
+        let reason = failures.join("; ");
+        if !reason.is_empty() {
+            self.merged.failed.push((name.to_owned(), reason.clone()));
+        }
+        let count = Cell::Number(found.remarks.len() as f64);
+        self.row_of_job(job, name, [state, &decision, &reason], count)?;
+        self.remarks(name, &found)?;
         self.merged.jobs += 1;
         self.merged.calibrations += found.calibrations.len();
         let stored: Vec<Stored> = found

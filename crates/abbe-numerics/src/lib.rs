@@ -66,6 +66,7 @@ mod passes;
 mod regression;
 mod reweighting;
 mod robust;
+mod row_noise;
 mod sampling;
 mod selection;
 mod significance;
@@ -89,6 +90,7 @@ pub use monte_carlo::{
 pub use passes::{HuberPoint, InPasses, RobustPass, RowWeight, Weighing, huber_point, solve_in_passes};
 pub use regression::{Influence, SelectionStep, StepwiseDirection, StepwiseSelection};
 pub use robust::{Loss, Robust, RobustReport, counted_scatter_factor, scatter_factor};
+pub use row_noise::{RowNoise, row_noise};
 pub use sampling::Generator;
 pub use selection::{Selection, UnestimableUnknown};
 pub use significance::{f_test, two_sided_normal};

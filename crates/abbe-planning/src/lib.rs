@@ -213,14 +213,29 @@ impl<'a> Ground<'a> {
         DesignProblem { budget, ..choice }
     }
 
-    /// Refuses candidates that do not determine the unknowns even all together.
+    /// Refuses candidates that do not determine the unknowns even all together, and fewer rows than unknowns.
     fn check(&self, choice: &DesignProblem) -> Result<()> {
+        if choice.number.is_some_and(|number| self.most_rows(number) < choice.unknowns)
+            && choice.measured.iter().all(|known| *known == 0.0)
+        {
+            return Err(too_few(self.wanted, choice.unknowns));
+        }
         match choice.figures(&(0..self.found.len()).collect::<Vec<_>>()) {
             Some(_) => Ok(()),
             None => {
                 let message = "even all candidates together leave something open";
                 Err(wrong("candidates", message).help("offer more candidates, or estimate fewer parameters"))
             }
+        }
+    }
+
+    /// Rows that so many candidates have at most.
+    fn most_rows(&self, number: usize) -> usize {
+        let mut rows: Vec<usize> = self.found.iter().map(|candidate| candidate.equations.len()).collect();
+        rows.sort_unstable_by(|one, other| other.cmp(one));
+        match self.wanted.replications {
+            true => rows.first().map_or(0, |most| number.saturating_mul(*most)),
+            false => rows.into_iter().take(number).sum(),
         }
     }
 

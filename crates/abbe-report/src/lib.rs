@@ -9,7 +9,7 @@ mod base64;
 mod chart;
 mod html;
 mod markdown;
-pub mod number;
+pub use abbe_engine::number;
 mod page;
 mod plan;
 mod residuals;

@@ -1,6 +1,7 @@
 //! What logs of temperatures and displacements cannot be: columns that were exchanged, and displacements in another unit.
 
 use abbe_core::{Dataset, Quantity};
+use abbe_numerics::row_noise;
 
 /// A column of a log: its name, and its numbers in the unit in which it is written.
 type Column<'a> = (&'a str, Vec<f64>);
@@ -89,12 +90,45 @@ pub fn in_another_unit(displacements: &[(&str, &[f64])], temperatures: &[&[f64]]
             most.0, most.1
         ));
     }
-    (least.1 < STILL).then(|| {
-        format!(
+    if least.1 < STILL {
+        return Some(format!(
             "{} moves by {:.4} um in all while the machine warms up, and {} by {:.1} um: is it in the unit that its column says?",
             least.0, least.1, most.0, most.1
+        ));
+    }
+    quieter(displacements)
+}
+
+/// Part of the noise of the others below which that of a displacement is not that of its sensor. Inches are 25.4 times millimetres.
+const QUIETER: f64 = 0.1;
+
+/// A displacement, by name in mm, with far less noise than all others, in words: it may be in another unit. Noise of neighbouring rows
+/// does not know how far a machine drifts. Nothing is told of readings without noise.
+pub fn quieter(displacements: &[(&str, &[f64])]) -> Option<String> {
+    let noises: Vec<f64> = displacements.iter().map(|(_, values)| white(values)).collect::<Option<_>>()?;
+    let place = (0..noises.len()).min_by(|one, other| noises[*one].total_cmp(&noises[*other]))?;
+    let others = || noises.iter().enumerate().filter(|(other, _)| *other != place).map(|(_, noise)| *noise);
+    let least = others().reduce(f64::min)?;
+    (noises[place] + digit(displacements[place].1) < QUIETER * least).then(|| {
+        format!(
+            "{} scatters from row to row by {:.4} um, and the others by {:.4} um or more: is it in the unit that its column says?",
+            displacements[place].0,
+            1e3 * noises[place],
+            1e3 * least
         )
     })
+}
+
+/// The noise of readings from row to row; none where they are smooth or few.
+fn white(values: &[f64]) -> Option<f64> {
+    row_noise(values).filter(|noise| noise.is_white).map(|noise| noise.size)
+}
+
+/// The least step between two different readings: their digits, or less.
+fn digit(values: &[f64]) -> f64 {
+    let mut all: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
+    all.sort_by(f64::total_cmp);
+    all.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).reduce(f64::min).unwrap_or(0.0)
 }
 
 #[cfg(test)]
@@ -138,5 +172,37 @@ mod tests {
         assert!(of([0.0, 8e-6, 30e-6], warm).is_some_and(|said| said.starts_with("z moves by")));
         assert!(in_another_unit(&[("z", &[0.0, 7e-5])], &[&warm]).is_some_and(|said| said.contains("0.070 um")));
         assert_eq!(of([0.0, 8e-6, 30e-6], cold), None);
+    }
+
+    #[test]
+    fn channels_with_less_noise_are_found() {
+        let mut found = 0;
+        for seed in 0..2_000 {
+            let mut generator = abbe_numerics::Generator::new(seed, 0);
+            let rows = 30 + seed as usize % 300;
+            let digits = [1e-7, 1e-5, 1e-4][seed as usize % 3];
+            let of = |size: f64, noise: f64, generator: &mut abbe_numerics::Generator| -> Vec<f64> {
+                let curve = |row: usize| size * (1.0 - (-4.0 * row as f64 / rows as f64).exp());
+                (0..rows).map(|row| curve(row) + noise * generator.normal()).collect()
+            };
+            let noise = 1e-5 * 10_f64.powf(generator.normal().clamp(-1.0, 1.0));
+            let mut x = of(5e-3 * generator.normal(), noise, &mut generator);
+            let mut y = of(5e-3 * generator.normal(), 2.0 * noise, &mut generator);
+            let mut z = of(30e-3 * generator.normal(), noise, &mut generator);
+            for values in [&mut x, &mut y, &mut z] {
+                values.iter_mut().for_each(|value| *value = (*value / digits).round() * digits);
+            }
+            assert_eq!(quieter(&[("x", &x), ("y", &y), ("z", &z)]), None, "{seed}");
+            let inches: Vec<f64> = z.iter().map(|value| value / 25.4).collect();
+            if noise > 2.0 * digits {
+                let said = quieter(&[("x", &x), ("y", &y), ("z", &inches)]).unwrap_or_default();
+                assert!(said.starts_with("z scatters"), "{seed}: {noise} {digits} {said}");
+                found += 1;
+            }
+            // Without noise there is nothing to compare.
+            let smooth = of(30e-3, 0.0, &mut generator);
+            assert_eq!(quieter(&[("x", &x), ("z", &smooth)]), None, "{seed}");
+        }
+        assert!(found > 800, "{found}");
     }
 }

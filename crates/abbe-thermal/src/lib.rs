@@ -32,7 +32,7 @@ mod select;
 mod starts;
 
 pub use beam::{Beam, SectionDisplacement, Segment, TemperaturePlane};
-pub use doubts::{exchanged, in_another_unit};
+pub use doubts::{exchanged, in_another_unit, quieter};
 pub use fit::{Fitted, Output, Readings, Structure, fit};
 pub use fitted::{Bootstrap, Terms};
 pub use log::{

@@ -160,6 +160,9 @@ impl Asked {
                 if merged.open > 0 {
                     let _ = writeln!(text, "{} jobs are open", merged.open);
                 }
+                if merged.remarked > 0 {
+                    let _ = writeln!(text, "{} jobs have remarks on their estimates: see remarks.csv", merged.remarked);
+                }
                 Ok(with_failures(text, &merged.failed))
             }
             Self::Next { manifest } => {

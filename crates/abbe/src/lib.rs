@@ -14,7 +14,6 @@ mod checked;
 mod compensate;
 mod correct;
 mod data;
-mod doubts;
 mod effects;
 mod expected;
 mod explain;

@@ -7,14 +7,11 @@ use abbe_engine::{Outcome, REPORT};
 use abbe_report::{Run, csv, markdown, page};
 
 use crate::browser;
-use crate::doubts;
 use crate::outputs::{Written, is_free};
 
 /// Adds the page about a run, and the residuals that it is made of, to the results. None, with a warning, if it cannot be made: that
 /// costs no result.
 pub fn attach(outcome: &mut Outcome) -> Option<Run> {
-    let doubts = doubts::remarks(&outcome.fits);
-    outcome.remarks.extend(doubts);
     match Run::of(outcome) {
         Ok((run, tables)) => {
             outcome.attached = tables;

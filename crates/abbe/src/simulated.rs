@@ -9,6 +9,11 @@ pub fn text(simulated: &Simulated, out: &Path) -> String {
     let mut text = "Simulated\n".to_owned();
     for file in &simulated.data {
         text.push_str(&format!("  {}: {} rows measured, {} copied\n", file.file.display(), file.measured, file.copied));
+        if file.copied > 0 {
+            let readers: Vec<&str> = file.read_by.iter().map(String::as_str).collect();
+            let copied = "copied rows are as they were: no artefact takes them";
+            text.push_str(&format!("    {copied}. Read by {}\n", readers.join(", ")));
+        }
     }
     for file in &simulated.not_simulated {
         let readers: Vec<&str> = file.read_by.iter().map(String::as_str).collect();

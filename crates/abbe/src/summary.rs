@@ -3,10 +3,9 @@
 use std::path::Path;
 
 use abbe_core::{Decision, Estimated, Figure, Fit, Outlier, Status, Unit, Verdict};
-use abbe_engine::{Failure, Outcome, Planned};
+use abbe_engine::{Failure, Outcome, Planned, doubts};
 use serde_json::{Value, json};
 
-use crate::doubts::doubts;
 use crate::table;
 use crate::uncertainty_summary;
 use abbe_report::number::{short, with_uncertainty};

@@ -8,9 +8,12 @@ use abbe_core::{Column, Dataset, Quantity};
 const ROWS: usize = 12;
 const SPREAD: f64 = 0.17;
 
-/// Parts of the radius by which positions are off at most (3 degrees; those of a machine are off by far less), and its radius is.
-const OFF: f64 = 0.05;
+/// Parts of the radius by which positions are off at most (1 degree; those of a machine are off by far less), and its radius is.
+const OFF: f64 = 0.02;
 const RADIUS: f64 = 0.02;
+
+/// Part of a thousand of the travel, mm, below which nothing moves on a circle.
+const STILL: f64 = 1e-3;
 
 /// Linear axes in the order in which angles turn: from X to Y, from Y to Z, from Z to X.
 const AXES: [&str; 3] = ["X", "Y", "Z"];
@@ -121,6 +124,13 @@ fn mistakes(names: [&str; 2], angle: &str, places: &[Place], radius: f64) -> Vec
     simple.into_iter().chain([times(0), times(1)]).collect()
 }
 
+/// What a column of numbers ranges over.
+fn range(data: &Dataset, column: &Column) -> f64 {
+    let numbers = data.numbers(&column.header.name).unwrap_or_default().iter();
+    let [low, high] = numbers.fold([f64::MAX, f64::MIN], |[low, high], &own| [low.min(own), high.max(own)]);
+    (high - low).max(0.0)
+}
+
 /// The two linear axes that move; none where others do, or a rotary axis turns, which has an angle of its own.
 fn plane<'a>(data: &'a Dataset, angle: &str, radius: f64) -> Option<[&'a Column; 2]> {
     let varies = |column: &&Column, least: f64| {
@@ -130,10 +140,11 @@ fn plane<'a>(data: &'a Dataset, angle: &str, radius: f64) -> Option<[&'a Column;
     if angle.len() == 1 || data.columns.iter().filter(is_rotary).any(|column| varies(&column, 1e-3 * PI)) {
         return None;
     }
-    let of = |name: &str| {
-        let column = data.column(name).filter(|column| column.header.quantity == Quantity::Length);
-        column.filter(|column| varies(column, 1e-3 * radius))
-    };
+    let column = |name: &str| data.column(name).filter(|column| column.header.quantity == Quantity::Length);
+    // A radius that is far too large hides no axis that moves.
+    let least =
+        1e-3 * AXES.iter().filter_map(|name| column(name)).map(|own| range(data, own)).fold(0.0, f64::max).min(radius);
+    let of = |name: &str| column(name).filter(|column| least > STILL && varies(column, least));
     match AXES.map(of) {
         [Some(x), Some(y), None] => Some([x, y]),
         [None, Some(y), Some(z)] => Some([y, z]),

@@ -1,6 +1,6 @@
 //! Validator plugin `circular`: circular tests in the manner of ISO 230-4.
 
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 use std::fmt::Write as _;
 
 use abbe_core::{
@@ -131,6 +131,11 @@ fn build(settings: Circular, _: &Context) -> Result<Box<dyn Validate>, SettingsE
 /// Turns above which angles are not those of a circle with its overshoot, which is half a turn or less at both ends.
 const MOST_TURNS: f64 = 3.0;
 
+/// An arc has so many angles that are farther apart than the next number, rad, over so much of a turn, rad.
+const FEWEST_ANGLES: usize = 8;
+const SAME_ANGLE: f64 = 1e-6;
+const SHORTEST_ARC: f64 = PI / 18.0;
+
 /// The name of a direction.
 fn name_of(positive: bool) -> &'static str {
     if positive { "ccw" } else { "cw" }
@@ -229,6 +234,7 @@ impl Circular {
         let traces = [self.trace(data, &samples, true)?, self.trace(data, &samples, false)?];
         let both = traces[0].as_ref().zip(traces[1].as_ref()).and_then(|(one, other)| Bidirectional::of(one, other));
         faults.extend(traces.iter().flatten().find_map(too_many_turns));
+        faults.extend(traces.iter().flatten().find_map(hardly_an_arc));
         let places: Vec<usize> = angles.iter().map(|angle| place_of_angle(*angle)).collect();
         faults.extend(smaller_direction(&[&um], &directions(data)?, &places, "um"));
         faults.extend(self.beside(data, angles)?);
@@ -331,6 +337,21 @@ fn too_many_turns(trace: &Trace) -> Option<String> {
     })
 }
 
+/// Angles of what is no arc: all of them are alike, or nearly.
+fn hardly_an_arc(trace: &Trace) -> Option<String> {
+    let mut angles: Vec<f64> = trace.samples().iter().map(|sample| sample.angle).collect();
+    angles.sort_by(f64::total_cmp);
+    angles.dedup_by(|next, angle| (*next - *angle).abs() < SAME_ANGLE);
+    (angles.len() < FEWEST_ANGLES || trace.travel() < SHORTEST_ARC).then(|| {
+        format!(
+            "there are {} angles over {:.2} deg, and an arc has {FEWEST_ANGLES} over {:.0} deg at least: is this the column of the angle?",
+            angles.len(),
+            trace.travel().to_degrees(),
+            SHORTEST_ARC.to_degrees()
+        )
+    })
+}
+
 /// What a trace is not.
 fn told(trace: &Trace, run: &str, way: &str) -> Vec<String> {
     let mut told = Vec::new();
@@ -345,8 +366,6 @@ fn told(trace: &Trace, run: &str, way: &str) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use std::f64::consts::PI;
-
     use abbe_core::{Column, ColumnHeader, RowOrigin, Values};
 
     use super::*;
@@ -408,6 +427,39 @@ mod tests {
             }
             let (said, is_decided) = judged(100.0, &data(plane, |at| at));
             assert!(!is_decided && said.contains("`radius_mm` is 100"), "{plane:?}: {said}");
+            let (said, is_decided) = judged(1e6, &data(plane, |at| at));
+            assert!(!is_decided && said.contains("`radius_mm` is 1000000"), "{plane:?}: {said}");
+            let mut stretched = data(plane, |at| at);
+            if let Values::Numbers(angles) = &mut stretched.columns[0].values {
+                angles.iter_mut().for_each(|angle| *angle *= 1.02);
+            }
+            let (said, is_decided) = judged(150.0, &stretched);
+            assert!(!is_decided && said.contains("off those of `angle`"), "{plane:?}: {said}");
+        }
+    }
+
+    #[test]
+    fn what_is_hardly_an_arc_decides_nothing() {
+        // An arc of so many degrees, with a reading at each `step`.
+        let arc = |degrees: f64, step: f64| {
+            let mut data = data(["A_mm", "B_mm"], |at| at);
+            let count = (degrees / step).round() as usize + 1;
+            let rows: Vec<DataRow> = (0..count).map(DataRow).collect();
+            data = data.of_rows(&rows);
+            data.columns[0].values = Values::Numbers((0..count).map(|row| (row as f64 * step).to_radians()).collect());
+            let settings = json!({ "radius_mm": 150, "limits": { "F_um": 100 } });
+            let circular: Circular = abbe_core::from_settings(&settings).expect("settings");
+            let found = circular.findings(&[&data]).expect("findings");
+            let is_decided = found.figures.iter().all(|figure| figure.inconclusive.is_none());
+            (found.remarks.join("\n"), is_decided)
+        };
+        for (degrees, step) in [(20.0, 1.0), (90.0, 10.0), (220.0, 2.0)] {
+            let (said, is_decided) = arc(degrees, step);
+            assert!(is_decided && !said.contains("column of the angle"), "{said}");
+        }
+        for (degrees, step) in [(0.0, 1.0), (5.0, 0.1), (90.0, 30.0)] {
+            let (said, is_decided) = arc(degrees, step);
+            assert!(!is_decided && said.contains("column of the angle"), "{degrees} {step}: {said}");
         }
     }
 }

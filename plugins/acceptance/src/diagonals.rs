@@ -64,6 +64,8 @@ type OfDiagonal = fn(&Positioning) -> Option<f64>;
 
 /// A diagonal that was measured.
 struct Measured {
+    /// The name of its run.
+    name: String,
     diagonal: Diagonal,
     kind: Kind,
     found: Positioning,
@@ -136,7 +138,7 @@ impl Diagonals {
         let told = told.filter(|fault| matches!(fault, Fault::OneDirection | Fault::MissingRuns(_)));
         findings.remarks.extend(told.map(|fault| format!("{run}: {}", words(&fault, Axis::Linear))));
         let uncertainties = [expanded.map(|own| 0.5 * own.systematic), expanded.map(|own| 0.5 * own.reversal)];
-        Ok(Measured { diagonal, kind, found, uncertainties, doubts })
+        Ok(Measured { name: run, diagonal, kind, found, uncertainties, doubts })
     }
 
     /// E_d and B_d: the largest of all body and of all face diagonals.
@@ -225,6 +227,47 @@ fn lacking(all: &[&Measured]) -> Option<String> {
     ))
 }
 
+/// How much of the lost motion of the others that of a diagonal may be off with its sign turned, and they from each other.
+const SAME_LOST_MOTION: f64 = 0.5;
+
+/// How many times its standard uncertainty a lost motion has to be.
+const CERTAIN: f64 = 5.0;
+
+/// Mean lost motion along a diagonal, µm; none if its targets do not tell its sign.
+fn lost_motion(found: &Positioning) -> Option<f64> {
+    let reversals: Vec<f64> = found.targets.iter().filter_map(|target| target.reversal).collect();
+    let (count, mean) = (reversals.len() as f64, found.mean_reversal?);
+    let squares: f64 = reversals.iter().map(|reversal| (reversal - mean).powi(2)).sum();
+    let uncertainty = (squares / (count - 1.0) / count).sqrt();
+    (count >= 4.0 && mean.abs() > CERTAIN * uncertainty && mean.abs() > 1e-3).then_some(mean)
+}
+
+/// Diagonals with a lost motion of the other sign than all others of their sort, by their places, in words.
+///
+/// An axis that moves along any diagonal of a sort moves as far, so that its lost motion adds the same to each of them. What angles of the
+/// axes add is less: two of a face may differ by it, and are told only.
+fn turned(all: &[Measured]) -> Vec<(usize, String)> {
+    let lost: Vec<Option<f64>> = all.iter().map(|own| lost_motion(&own.found)).collect();
+    let is_turned = |place: &usize| {
+        let (own, kind) = (lost[*place]?, all[*place].kind);
+        let others = (0..all.len()).filter(|other| other != place && all[*other].kind == kind);
+        let others: Vec<f64> = others.map(|other| lost[other]).collect::<Option<_>>()?;
+        let mean = others.iter().sum::<f64>() / others.len() as f64;
+        let agrees = |lost: f64| (lost - mean).abs() < SAME_LOST_MOTION * mean.abs();
+        let fewest = if kind == Kind::Body { 2 } else { 1 };
+        (others.len() >= fewest && agrees(-own) && others.iter().all(|other| agrees(*other))).then_some((own, mean))
+    };
+    let told = |place: usize| {
+        let (own, mean) = is_turned(&place)?;
+        let words = format!(
+            "its lost motion is {own:.2} um, that of the other diagonals of its sort {mean:.2} um, and axes add the same to each: is the \
+             sign of these readings wrong, or that of `direction`?"
+        );
+        Some((place, words))
+    };
+    (0..all.len()).filter_map(told).collect()
+}
+
 fn alike(one: [f64; 2], other: [f64; 2]) -> bool {
     (0..2).all(|k| (one[k] - other[k]).abs() <= 1e-3 * one[k])
 }
@@ -261,7 +304,14 @@ impl Acceptance for Diagonals {
             "{EDITION} (its text was not at hand). A choice of this project: E_d and B_d are the largest of all body, and of all face \
              diagonals; figures of each are those of ISO 230-2:2014"
         ));
-        let all: Vec<Measured> = data.iter().map(|data| self.one(data, &mut findings)).collect::<Result<_>>()?;
+        let mut all: Vec<Measured> = data.iter().map(|data| self.one(data, &mut findings)).collect::<Result<_>>()?;
+        let turned = turned(&all);
+        findings.remarks.extend(turned.iter().map(|(place, words)| format!("{}: {words}", all[*place].name)));
+        for (place, words) in turned {
+            if all[place].kind == Kind::Body {
+                all[place].doubts.push(words);
+            }
+        }
         let of = |body: bool| all.iter().filter(|own| (own.kind == Kind::Body) == body).collect::<Vec<_>>();
         for (name, own) in [("body", of(true)), ("face", of(false))] {
             if !own.is_empty() {

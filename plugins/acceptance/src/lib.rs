@@ -11,4 +11,5 @@ mod diagonals;
 mod positioning;
 mod rotary_interpolation;
 mod rotary_readings;
+mod sign_change;
 mod targets;

@@ -8,6 +8,7 @@ use abbe_standards::positioning::plan::Axis;
 
 use crate::both_directions::{mirrored, smaller_direction};
 use crate::common::{copied_repeats, directions, faults, finite, no_data, run_name};
+use crate::sign_change::sign_change;
 
 /// Positions that are no farther apart are one target: mm or degrees.
 const SAME: f64 = 1e-3;
@@ -122,7 +123,8 @@ impl Readings {
                 .to_owned()
         });
         let smaller = smaller_direction(&[&self.in_order], &self.ways, &self.places, self.unit);
-        let signs = self.turned_run().or_else(|| mirrored(&self.means(), self.unit));
+        let signs =
+            self.turned_run().or_else(|| self.turned_from_a_row()).or_else(|| mirrored(&self.means(), self.unit));
         found.into_iter().chain(copied).chain(turned).chain(smaller).chain(signs).collect()
     }
 
@@ -163,6 +165,19 @@ impl Readings {
                 self.runs[run].0
             )
         })
+    }
+
+    /// Readings that repeat those before them with the sign turned, from one row on, in words.
+    fn turned_from_a_row(&self) -> Option<String> {
+        let groups: Vec<usize> =
+            self.places.iter().zip(&self.ways).map(|(place, up)| 2 * place + usize::from(*up)).collect();
+        let found = sign_change(&self.in_order, &groups, ROUNDING)?;
+        let (unit, row) = (self.unit, found.row + 1);
+        Some(format!(
+            "readings repeat within {:.2} {unit}, and within {:.2} {unit} with the signs of row {row} and those after it turned (or of \
+             those before it): is the sign of a part of the rows wrong?",
+            found.as_read, found.turned
+        ))
     }
 
     /// Distance of the first and the last target, mm or degrees.

@@ -5,7 +5,7 @@ use abbe_core::{
     Problem, Quantity, Result, SettingsError, positive,
 };
 use abbe_standards::thermal_drift::{range, slope_at_end, time_to_part};
-use abbe_thermal::{Fitted, Hold, Output, Reference, SensorLog, Structure, exchanged, is_dead, stuck_part};
+use abbe_thermal::{Fitted, Hold, Output, Reference, SensorLog, Structure, exchanged, is_dead, quieter, stuck_part};
 use nalgebra::DMatrix;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -151,9 +151,9 @@ impl WarmUp {
     }
 
     /// Temperatures counted from their means: the noise of no single row is in all differences.
-    fn log(&self, data: &Dataset, times: &[f64]) -> Result<SensorLog> {
+    fn log(names: &[String], data: &Dataset, times: &[f64]) -> Result<SensorLog> {
         let sensor = |name: &String| Ok((name.clone(), data.required_numbers(name)?.to_vec()));
-        let sensors = self.temperatures.iter().map(sensor).collect::<Result<_>>()?;
+        let sensors = names.iter().map(sensor).collect::<Result<_>>()?;
         SensorLog::new(times.to_vec(), sensors, Hold::FirstOrder, None)?
             .elevations(Reference::MeanUntil(times[times.len() - 1]))
     }
@@ -181,22 +181,57 @@ impl WarmUp {
         Ok(())
     }
 
-    /// Tells of temperatures whose rows, in the reverse order, explain what drifts most far better.
-    fn tell_turned(&self, log: &SensorLog, outputs: &[Output], structure: &Structure, fitted: &Fitted) -> Result<()> {
+    /// Tells of temperatures that explain what drifts most far better with their rows in the reverse order, or with another sensor of the
+    /// file in the place of one.
+    fn tell_better(
+        &self,
+        log: &SensorLog,
+        data: &Dataset,
+        outputs: &[Output],
+        structure: &Structure,
+        fitted: &Fitted,
+    ) -> Result<()> {
         let most = |output: &Output| output.runs[0].values.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
         let largest = (0..outputs.len()).max_by(|one, other| most(&outputs[*one]).total_cmp(&most(&outputs[*other])));
         let Some(largest) = largest else { return Ok(()) };
-        let turned = abbe_thermal::fit(&[log.turned()], outputs, structure)?;
-        let [as_read, turned] = [fitted, &turned].map(|fit| 1e3 * fit.scatter[largest]);
-        if turned < TURNED * as_read {
+        let scatter = |fitted: &Fitted| 1e3 * fitted.scatter[largest];
+        let (name, sensors, as_read) = (&self.drift[largest], self.temperatures.join(", "), scatter(fitted));
+        let turned = scatter(&abbe_thermal::fit(&[log.turned()], outputs, structure)?);
+        if turned < BETTER * as_read {
             tracing::warn!(
-                "{} follows {} far better with the temperatures in the reverse order of their rows (scatter {turned:.3} um, and \
-                 {as_read:.3} um as they are): are the rows of one of them sorted the other way round?",
-                self.drift[largest],
-                self.temperatures.join(", ")
+                "{name} follows {sensors} far better with the temperatures in the reverse order of their rows (scatter {turned:.3} um, and \
+                 {as_read:.3} um as they are): are the rows of one of them sorted the other way round?"
+            );
+        }
+        let mut best: Option<(f64, [String; 2])> = None;
+        for (place, sensor) in self.temperatures.iter().enumerate() {
+            for other in self.others(data) {
+                let mut names = self.temperatures.clone();
+                names[place].clone_from(&other);
+                // What cannot be fitted explains nothing.
+                let with =
+                    Self::log(&names, data, log.times()).and_then(|log| abbe_thermal::fit(&[log], outputs, structure));
+                let Ok(with) = with.map(|with| scatter(&with)) else { continue };
+                if with < BETTER * as_read && best.as_ref().is_none_or(|(least, _)| with < *least) {
+                    best = Some((with, [sensor.clone(), other]));
+                }
+            }
+        }
+        if let Some((with, [sensor, other])) = best {
+            tracing::warn!(
+                "{name} follows {sensors} far better with {other} in the place of {sensor} (scatter {with:.3} um, and {as_read:.3} um as it \
+                 is): are these columns exchanged?"
             );
         }
         Ok(())
+    }
+
+    /// The temperatures of a file that the drift is not said to follow, as far as they move.
+    fn others(&self, data: &Dataset) -> Vec<String> {
+        let columns = data.columns.iter().map(|column| &column.header);
+        let temperatures = columns.filter(|header| header.quantity == Quantity::Temperature);
+        let names = temperatures.map(|header| &header.name).filter(|name| !self.temperatures.contains(name));
+        names.filter(|name| data.numbers(name).is_some_and(|readings| !is_dead(readings))).cloned().collect()
     }
 
     /// Gains of a drift on temperatures, with the covariance that its residuals tell.
@@ -217,8 +252,8 @@ impl WarmUp {
     }
 }
 
-/// Part of the scatter below which temperatures in the reverse order are far better.
-const TURNED: f64 = 0.5;
+/// Part of the scatter below which other temperatures are far better.
+const BETTER: f64 = 0.5;
 
 /// How many times a usual step is a jump, and the part of the range that it has to be.
 const JUMP: f64 = 10.0;
@@ -336,9 +371,11 @@ impl Estimate for WarmUp {
             tell_jump(data, name, data.required_numbers(name)?, times);
         }
         tell_gap(data, times);
-        exchanged(data).iter().for_each(|doubt| tracing::warn!("{doubt}"));
+        let drifts = self.drift.iter().map(|name| Ok((name.as_str(), data.required_numbers(name)?)));
+        let doubts = exchanged(data).into_iter().chain(quieter(&drifts.collect::<Result<Vec<_>>>()?));
+        doubts.for_each(|doubt| tracing::warn!("{doubt}"));
         if !self.temperatures.is_empty() {
-            let log = self.log(data, times)?;
+            let log = Self::log(&self.temperatures, data, times)?;
             let outputs = self.drift.iter().map(|name| {
                 let readings = data.required_numbers(name)?;
                 let mean = readings.iter().sum::<f64>() / readings.len() as f64;
@@ -354,7 +391,7 @@ impl Estimate for WarmUp {
                 guess: None,
             };
             let fitted = abbe_thermal::fit(std::slice::from_ref(&log), &outputs, &structure)?;
-            self.tell_turned(&log, &outputs, &structure, &fitted)?;
+            self.tell_better(&log, data, &outputs, &structure, &fitted)?;
             let (inverse, worst) = inverse_of(&log)
                 .ok_or_else(|| Error::data("the temperatures cannot be told apart").setting("temperatures"))?;
             for (output, readings) in outputs.iter().enumerate() {

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-use abbe_core::{Calibration, Error, Limit, Registry, Result};
+use abbe_core::{Calibration, Error, Estimated, Limit, Registry, Result};
 use abbe_engine::model_of;
 use abbe_history::{Filter, History, Stored};
 use abbe_trend::{
@@ -158,7 +158,8 @@ impl Question {
         let unit = tests.first().map_or("test", |stored| stored.unit.as_str());
         let analysis =
             analyse(unit, &known.tests, &known.series, &known.covariances, &known.inputs, &Settings::default());
-        let remarks = findings(machine, &known, &analysis, Limit::from(0.0))?.remarks;
+        let mut remarks = findings(machine, &known, &analysis, Limit::from(0.0))?.remarks;
+        remarks.extend(copies(&tests));
         let estimate = tests.first().map_or("", |stored| estimate_of(stored)).to_owned();
         Ok(Checked {
             machine: machine.to_owned(),
@@ -304,6 +305,30 @@ pub fn estimate_of(stored: &Stored) -> &str {
 }
 
 /// Refuses tests of machines that cannot be the same: their chains, or the plugins that describe them, differ.
+/// Part of a standard uncertainty within which values are the same: no measurement repeats so.
+const SAME: f64 = 1e-6;
+
+/// Sentences on tests with the values of earlier ones: their rows are those of these, in whatever file they stand.
+fn copies(tests: &[&Stored]) -> Vec<String> {
+    let determined = |stored: &&Stored| {
+        let all = stored.calibration.parameters.iter();
+        all.filter(|own| own.standard_uncertainty > 0.0).cloned().collect::<Vec<Estimated>>()
+    };
+    let values: Vec<Vec<Estimated>> = tests.iter().map(determined).collect();
+    let same = |one: &Estimated, other: &Estimated| {
+        one.name == other.name && (one.value - other.value).abs() <= SAME * one.standard_uncertainty
+    };
+    let is_copy = |one: &[Estimated], other: &[Estimated]| {
+        !one.is_empty() && one.len() == other.len() && one.iter().zip(other).all(|(one, other)| same(one, other))
+    };
+    let of_test = |place: usize| {
+        let earlier = (0..place).find(|earlier| is_copy(&values[*earlier], &values[place]))?;
+        let [one, other] = [earlier, place].map(|test| tests[test].label.as_str());
+        Some(format!("{other} has the values of {one} to the last digit: are its rows those of {one}?"))
+    };
+    (0..tests.len()).filter_map(of_test).collect()
+}
+
 fn same_machine(tests: &[&Stored], estimate: &str) -> Result<()> {
     let chain = |stored: &Stored| {
         let model = &stored.calibration.model;

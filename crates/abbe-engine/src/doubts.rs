@@ -1,9 +1,10 @@
 //! What is hard to believe of a fit: for its heading in the summary.
 
 use abbe_core::{Fit, Quantity};
-use abbe_engine::{Remark, copied_runs, gathered_outliers};
+use abbe_estimation::{copied_runs, gathered_outliers, quiet_channels};
 
-use abbe_report::number::short;
+use crate::number::short;
+use crate::record::Remark;
 
 mod files;
 
@@ -50,7 +51,7 @@ fn overstated(fit: &Fit) -> Option<String> {
 }
 
 /// The same as remarks.
-pub fn remarks(all: &[Fit]) -> Vec<Remark> {
+pub(crate) fn remarks(all: &[Fit]) -> Vec<Remark> {
     let text = doubts(all).unwrap_or_default();
     let remark = |line: &str| {
         let (estimate, text) = line.trim_start().split_once(": ")?;
@@ -77,6 +78,7 @@ pub fn doubts(all: &[Fit]) -> Option<String> {
         .chain(all.iter().filter_map(overstated))
         .chain(all.iter().filter_map(too_good))
         .chain(all.iter().flat_map(files::too_good))
+        .chain(all.iter().flat_map(quiet))
         .chain(all.iter().flat_map(files::too_bad))
         .chain(all.iter().flat_map(copied))
         .chain(all.iter().filter_map(too_many_outliers))
@@ -90,7 +92,7 @@ pub fn doubts(all: &[Fit]) -> Option<String> {
 
 /// Estimates that are not what the recipe states, but could be.
 fn misstated(fit: &Fit) -> Vec<String> {
-    let found = abbe_engine::contradicted(&fit.problem, &fit.calibration);
+    let found = abbe_estimation::contradicted(&fit.problem, &fit.calibration);
     let told = found.iter().filter(|stated| !stated.is_mistake());
     told.map(|stated| format!("  {}: {}: is the statement right?\n", fit.name, stated.describe())).collect()
 }
@@ -169,6 +171,12 @@ fn copied(fit: &Fit) -> Vec<String> {
         true => copied_runs(&fit.problem).into_iter().map(|found| format!("  {}: {found}\n", fit.name)).collect(),
         false => Vec::new(),
     }
+}
+
+/// Channels of an instrument with far less noise than the others.
+fn quiet(fit: &Fit) -> Vec<String> {
+    let found = quiet_channels(&fit.problem, &fit.calibration);
+    found.into_iter().map(|found| format!("  {}: {found}\n", fit.name)).collect()
 }
 
 /// Outliers that gather where one axis is not where it usually is.

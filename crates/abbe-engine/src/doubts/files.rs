@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use crate::number::short;
 use abbe_core::Fit;
-use abbe_report::number::short;
 
 use super::{MISSTATED, by_chance};
 
