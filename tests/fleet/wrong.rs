@@ -338,7 +338,7 @@ fn remarks_of_jobs_are_told() {
     let counts: Vec<bool> = jobs.lines().skip(1).map(|line| line.ends_with(",0.0")).collect();
     assert_eq!(counts, [true, false, true], "{jobs}");
     let remarks = read(&at.join("fleet.merged/remarks.csv"));
-    let told = remarks.lines().any(|line| line.starts_with("weekly-m00001-1,fit,") && line.contains("24 rows"));
+    let told = remarks.lines().any(|line| line.starts_with("weekly/m00001/1,fit,") && line.contains("24 rows"));
     assert!(told, "{remarks}");
     let onto = quiet(at, &["fleet", "merge", "fleet.manifest.jsonl", "--out", "recipe.yaml"]);
     assert!(onto.status == 1 && onto.stderr.contains("name a folder"), "{}", onto.stderr);

@@ -212,14 +212,15 @@ fn a_check_needs_to_know_what_was_repeated() {
 fn tests_that_are_copies_are_told() {
     let folder = temporary();
     let positioner = crate::support::Variant::of(&crate::support::recipes()["positioner"]);
-    let recipe = positioner.write(folder.path());
+    let recipe = read(&positioner.write(folder.path()));
     let at = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
     let asked = |arguments: &[&str]| abbe(folder.path(), arguments);
-    let run = asked(&["run", &recipe.to_string_lossy(), "--out", "out"]);
-    assert_eq!(run.status, 0, "{}", run.stderr);
-    for date in ["2026-03-01", "2026-03-02"] {
-        let label = ["--machine", "mill", "--date", date];
-        let added = asked(&[&["history", "add", &at("plant.sqlite"), "out/recipe"][..], &label].concat());
+    for (name, date) in [("first", "2026-03-01"), ("second", "2026-03-02")] {
+        write(&folder.path().join(format!("{name}.yaml")), &recipe);
+        let run = asked(&["run", &at(&format!("{name}.yaml")), "--out", "out"]);
+        assert_eq!(run.status, 0, "{}", run.stderr);
+        let add = ["history", "add", &at("plant.sqlite"), &format!("out/{name}"), "--machine", "mill", "--date", date];
+        let added = asked(&add);
         assert_eq!(added.status, 0, "{}", added.stderr);
     }
     let checked = asked(&["history", "check", &at("plant.sqlite"), "--estimate", "fit"]);

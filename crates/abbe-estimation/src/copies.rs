@@ -7,6 +7,8 @@ use abbe_core::{
     Column, ColumnHeader, Contact, DataRow, Dataset, ObservationSet, Problem, Quantity, RowOrigin, SetIndex, Values,
 };
 
+use abbe_numerics::resolution;
+
 use crate::repeated_rows::{copied_rows, repeated_in_words};
 
 /// Rows of a data set that are the same in every cell, but for a label that counts them: a file that was read twice, or a row that was
@@ -191,7 +193,7 @@ fn telling_rows(set: &ObservationSet, uncertainty: Least) -> Option<(Vec<DataRow
     rows_of(set).into_iter().for_each(|row| files.entry(data.origins[row].file).or_default().push(row));
     let mut in_turn = IN_TURN;
     files.retain(|_, rows| {
-        let agreeing = columns.iter().map(|column| agreement(step(column.1, rows), uncertainty.of(column.0)));
+        let agreeing = columns.iter().map(|column| agreement(step(column, rows), uncertainty.of(column.0)));
         // Where axes move until contact, what was measured is in one of their positions.
         let of_a_row = if is_each_read { agreeing.sum::<f64>() } else { agreeing.fold(0.0, f64::min) };
         let needed = if of_a_row < 0.0 { (BY_CHANCE / of_a_row).ceil() } else { f64::INFINITY };
@@ -238,11 +240,18 @@ fn read_columns(set: &ObservationSet) -> Option<Vec<(Quantity, &[f64])>> {
     names.into_iter().map(|name| Some((data.column(name)?.header.quantity, data.numbers(name)?))).collect()
 }
 
-/// The smallest difference of two numbers of a column: the step of its digits.
-fn step(column: &[f64], rows: &[DataRow]) -> f64 {
-    let mut numbers: Vec<f64> = rows.iter().map(|&row| column[row]).filter(|number| number.is_finite()).collect();
+/// The step of the digits of a column in mm or rad; without digits the smallest difference of two numbers.
+pub(crate) fn step((quantity, column): &(Quantity, &[f64]), rows: &[DataRow]) -> f64 {
+    // Angles have digits in degrees.
+    let unit = if *quantity == Quantity::Angle { PI / 180.0 } else { 1.0 };
+    let mut numbers: Vec<f64> =
+        rows.iter().map(|&row| column[row] / unit).filter(|number| number.is_finite()).collect();
     numbers.sort_by(f64::total_cmp);
-    numbers.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).fold(f64::INFINITY, f64::min)
+    let steps = numbers.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0);
+    let smallest = steps.fold(f64::INFINITY, f64::min);
+    // A column that stands tells nothing.
+    let step = if smallest.is_finite() { resolution(&numbers).unwrap_or(smallest) } else { smallest };
+    unit * step.min(smallest)
 }
 
 /// Scatter of repetitions, mm or rad, below which there is none.

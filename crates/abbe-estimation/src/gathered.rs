@@ -14,6 +14,9 @@ const SEVERAL: usize = 3;
 /// Two commands of an axis are one place if they differ by less, mm or rad.
 const SAME: f64 = 1e-3;
 
+/// Part of the rows that a place has if an axis is usually there.
+const USUAL: f64 = 0.2;
+
 /// Most places of an axis whose rows are looked at, and the fewest rows of one.
 const PLACES: usize = 100;
 const ROWS: usize = 5;
@@ -143,7 +146,7 @@ fn gathered(
     (chance(&told) * count < BY_CHANCE).then_some((told, all))
 }
 
-/// For each axis the rows that are not at its usual place, if it has one, and those of each place if there are not many.
+/// For each axis the rows that are not where it usually is, and those of each place if there are not many.
 fn groups(problem: &Problem, set: &ObservationSet, rows: &[(RowIndex, bool)]) -> Vec<Group> {
     let (info, layout) = (problem.model.info(), &set.info().layout);
     let axes = info.status.iter().enumerate().filter_map(|(column, status)| match status.role {
@@ -164,15 +167,11 @@ fn groups(problem: &Problem, set: &ObservationSet, rows: &[(RowIndex, bool)]) ->
                 *told += usize::from(*is_told);
             }
         }
-        let sum = |of: usize| counts.values().map(|own| own[of]).sum::<usize>();
-        let [all, all_told] = [0, 1].map(sum);
-        let usual = counts.values().copied().max_by_key(|own| own[0]).filter(|own| 2 * own[0] > all);
-        let away = usual.map(|[rows, told]| Group {
-            axis: axis.name.clone(),
-            place: None,
-            rows: all - rows,
-            told: all_told - told,
-        });
+        let all: usize = counts.values().map(|own| own[0]).sum();
+        let is_usual = |own: &[usize; 2]| own[0] as f64 >= USUAL * all as f64;
+        let sum = |of: usize| counts.values().filter(|own| !is_usual(own)).map(|own| own[of]).sum::<usize>();
+        let [rows, told] = [0, 1].map(sum);
+        let away = (2 * rows < all).then(|| Group { axis: axis.name.clone(), place: None, rows, told });
         let places = counts.iter().filter(|(_, own)| counts.len() <= PLACES && own[0] >= ROWS && own[0] < all);
         let at = places.map(|(place, [rows, told])| Group {
             axis: axis.name.clone(),

@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use abbe_core::{Calibration, Problem};
+use abbe_core::{Calibration, DataRow, Problem, SetIndex};
 use abbe_numerics::row_noise;
 
 use crate::channels::channels_of;
+use crate::copies::{least_uncertainties, step};
 
 /// Rows that were measured together: those of an artefact stage in a file.
 type Part<'a> = (&'a str, &'a Path);
@@ -44,6 +45,19 @@ const AS_STATED: std::ops::Range<f64> = 0.3..3.0;
 /// Part of what was stated below which residuals are those of exact data: no other unit makes them so small.
 const EXACT: f64 = 1e-6;
 
+/// The step of the digits of a channel over the least standard uncertainty of its readings.
+fn digits(problem: &Problem, stage: &str, channel: &str) -> f64 {
+    let set = SetIndex::enumerate(&problem.sets).find(|(_, set)| set.name == stage);
+    let found = set.and_then(|(index, set)| {
+        let data = &set.info().layout.data;
+        let quantity = data.column(channel)?.header.quantity;
+        let rows: Vec<DataRow> = data.row_indices().collect();
+        let step = step(&(quantity, data.numbers(channel)?), &rows);
+        Some(step / least_uncertainties(problem).get(&index)?.of(quantity))
+    });
+    found.unwrap_or(f64::INFINITY)
+}
+
 /// Most channels that are named.
 const NAMED: usize = 5;
 
@@ -57,7 +71,9 @@ pub fn quiet_channels(problem: &Problem, calibration: &Calibration) -> Vec<Strin
         for (place, (channel, _)) in channels.iter().enumerate() {
             let others = || noises.iter().enumerate().filter(|(other, _)| *other != place).map(|(_, noise)| *noise);
             let (own, least) = (noises[place], others().fold(f64::MAX, f64::min));
-            let is_quiet = own < (OF_OTHERS * least).min(OF_STATED) && own > EXACT;
+            let most = (OF_OTHERS * least).min(OF_STATED);
+            // What its digits hide may be there.
+            let is_quiet = own < most && own > EXACT && own + digits(problem, stage, channel) < most;
             if is_quiet && others().all(|noise| AS_STATED.contains(&noise)) {
                 found.push(format!(
                     "the residuals of `{channel}` of {stage} in `{}` scatter from row to row by {own:.3} of what is stated, those of the \

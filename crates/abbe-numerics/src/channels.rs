@@ -158,9 +158,19 @@ fn is_fine(channels: &[Channel<'_>], uncertainty: Option<f64>) -> bool {
     }
 }
 
-/// The last digit of readings: the largest power of ten of which all are whole multiples. None if they have no such digit.
+/// The last digit of the readings of all channels.
 fn digit(channels: &[Channel<'_>]) -> Option<f64> {
-    let readings = || channels.iter().flat_map(|channel| channel.readings).filter(|reading| reading.is_finite());
+    resolution(&channels.iter().flat_map(|channel| channel.readings).copied().collect::<Vec<f64>>())
+}
+
+/// The step of the digits of readings: the largest of 1, 2 and 5 times a power of ten of which all are whole multiples; none if they have
+/// no such digits. What is no finite number is left out.
+///
+/// ```
+/// assert_eq!(abbe_numerics::resolution(&[12.5, 7.0, 3.5, 101.0, -4.5]), Some(0.5));
+/// ```
+pub fn resolution(readings: &[f64]) -> Option<f64> {
+    let readings = || readings.iter().filter(|reading| reading.is_finite());
     let largest = readings().fold(0.0_f64, |largest, reading| largest.max(reading.abs()));
     let of_all = |step: &f64| {
         readings().all(|reading| {
@@ -168,8 +178,8 @@ fn digit(channels: &[Channel<'_>]) -> Option<f64> {
             (steps - steps.round()).abs() < 1e-5
         })
     };
-    let powers = (-12..6).rev().map(|power| 10_f64.powi(power));
-    powers.filter(|step| *step <= largest && largest / step < 1e9).find(of_all)
+    let steps = (-12..6).rev().flat_map(|power| [5.0, 2.0, 1.0].map(|step| step * 10_f64.powi(power)));
+    steps.filter(|step| *step <= largest && largest / step < 1e9).find(of_all)
 }
 
 fn is_still(readings: &[f64]) -> bool {
@@ -367,5 +377,18 @@ mod tests {
         let rows: Vec<f64> =
             (0..110).map(|row| 0.31 * f64::from(row % 11) + 0.01 * f64::from(row / 11 * (row % 11))).collect();
         assert_eq!(of(&[rows], Some(0.3)), []);
+    }
+
+    #[test]
+    fn digits_are_found() {
+        for seed in 0..500 {
+            let mut generator = crate::Generator::new(seed, 0);
+            let step = [1.0, 2.0, 5.0][seed as usize % 3] * 10_f64.powi(-(seed as i32 % 6));
+            let readings: Vec<f64> = (0..60).map(|_| (200.0 * generator.normal() / step).round() * step).collect();
+            let found = resolution(&readings).expect("digits");
+            assert!((found / step - 1.0).abs() < 1e-9, "{seed}: {found} {step}");
+            let rough: Vec<f64> = (0..60).map(|_| generator.normal()).collect();
+            assert_eq!(resolution(&rough), None);
+        }
     }
 }

@@ -73,7 +73,9 @@ mod significance;
 mod vector;
 
 pub use accumulate::Accumulator;
-pub use channels::{Channel, ClippedEnd, InstrumentFault, clipped_ends, instrument_faults, repeats_are_copies};
+pub use channels::{
+    Channel, ClippedEnd, InstrumentFault, clipped_ends, instrument_faults, repeats_are_copies, resolution,
+};
 pub use coverage::{
     binomial_band, chi_squared_quantile, chi_squared_upper_tail, correlation_by_chance, coverage_factor,
     drawn_by_chance, effective_degrees_of_freedom, hotelling_quantile, hotelling_upper_tail, joint_coverage_factor,

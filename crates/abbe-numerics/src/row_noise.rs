@@ -3,6 +3,11 @@
 /// Fewest rows that tell.
 const TELLING: usize = 20;
 
+/// Part of the differences that are smaller than what noise is told by, and that size of normal numbers of standard deviation 1: jumps
+/// between runs are beyond.
+const PART: f64 = 0.25;
+const OF_NORMAL: f64 = 0.318_639;
+
 /// How many times larger fourth differences are than third ones at least where rows do not know each other: √(70/20) = 1.87 times for
 /// white noise, less than once where readings follow a smooth curve.
 const OF_NOISE: f64 = 1.4;
@@ -29,11 +34,15 @@ pub fn row_noise(readings: &[f64]) -> Option<RowNoise> {
         return None;
     }
     let differences = |values: &[f64]| -> Vec<f64> { values.windows(2).map(|pair| pair[1] - pair[0]).collect() };
-    let rms = |values: &[f64]| (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt();
+    let usual = |values: &[f64]| {
+        let mut sizes: Vec<f64> = values.iter().map(|value| value.abs()).collect();
+        sizes.sort_by(f64::total_cmp);
+        sizes[(PART * sizes.len() as f64) as usize] / OF_NORMAL
+    };
     let third = differences(&differences(&differences(&finite)));
-    let is_white = rms(&differences(&third)) > OF_NOISE * rms(&third);
+    let is_white = usual(&differences(&third)) > OF_NOISE * usual(&third);
     // The squares of the coefficients of a third difference have the sum 20.
-    Some(RowNoise { size: rms(&third) / 20_f64.sqrt(), is_white })
+    Some(RowNoise { size: usual(&third) / 20_f64.sqrt(), is_white })
 }
 
 #[cfg(test)]
@@ -56,5 +65,16 @@ mod tests {
             assert!(!found.is_white && found.size < 1e-4 * size, "{seed}: {found:?}");
         }
         assert_eq!(row_noise(&[1.0; 19]), None);
+    }
+
+    /// Runs end with jumps: a quarter of the differences is beside them.
+    #[test]
+    fn jumps_are_no_noise() {
+        for seed in 0..200 {
+            let mut generator = Generator::new(seed, 0);
+            let readings: Vec<f64> = (0..24).map(|row| f64::from(row % 6) + 0.01 * generator.normal()).collect();
+            let found = row_noise(&readings).expect("enough rows");
+            assert!((0.001..0.1).contains(&found.size), "{seed}: {found:?}");
+        }
     }
 }
