@@ -1,6 +1,8 @@
 //! Data sets that are read in batches: the estimate of all rows, however large the batches are and however many threads read them, in
 //! memory that does not grow with the rows.
 
+mod files;
+
 use std::path::Path;
 use std::process::Command;
 
@@ -256,16 +258,6 @@ fn what_needs_all_rows_is_refused() {
     drifting.set("touches", "batch_rows", json!(100)).write(folder.path());
     let printed = run(folder.path(), "out");
     assert!(printed.stderr.contains("the machine takes settings from its data"), "{}", printed.stderr);
-}
-
-#[test]
-fn packed_files_are_refused() {
-    let (small, variant) = small(10);
-    let packed = abbe_files::Packing::Gzip.pack(small.read("data/touches.csv").into_bytes());
-    std::fs::write(small.path("data/touches.csv.gz"), packed).expect("a file");
-    variant.set("touches", "path", json!("data/touches.csv.gz")).write(small.folder.path());
-    let printed = small.abbe(&["run", "recipe.yaml", "--out", "out"]);
-    assert!(printed.status == 2 && printed.stderr.contains("packed files are not read in batches"), "{printed:?}");
 }
 
 /// Checking tells what the rows determine, as it does without batches; plans and simulations read all rows.

@@ -13,7 +13,7 @@ use crate::packed::{found, negated, touches, with_touches};
 use crate::support::{Variant, abbe, fit, read, recipes, registry, temporary};
 
 /// A table in CSV (without quotation marks) as Parquet, its units beside the names.
-fn parquet(text: &str) -> Vec<u8> {
+pub fn parquet(text: &str) -> Vec<u8> {
     let mut lines = text.lines().filter(|line| !line.starts_with('#'));
     let names: Vec<&str> = lines.next().expect("a header").split(',').collect();
     let rows: Vec<Vec<&str>> = lines.map(|line| line.split(',').collect()).collect();

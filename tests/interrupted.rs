@@ -217,3 +217,66 @@ fn temporary_folders_go_with_a_signal() {
         }
     }
 }
+
+/// A signal while a run reads batches: an end in good time, a status that says which, and nothing that stays, neither results nor
+/// what is kept of batches.
+#[cfg(unix)]
+#[test]
+fn a_run_in_batches_ends_between_batches() {
+    let env = std::process::Command::new("env").args([DEFAULT_SIGNALS, "true"]).stderr(Stdio::null()).status();
+    if !env.is_ok_and(|status| status.success()) {
+        return crate::support::skipped("interrupted", "`env --default-signal` of GNU coreutils is not there");
+    }
+    let small = Small::new();
+    let touches = small.read("data/touches.csv");
+    let head = 1 + touches.lines().position(|line| line.contains("_mm")).expect("a header");
+    let rows: Vec<&str> = touches.lines().skip(head).filter(|line| !line.starts_with('#')).collect();
+    let head: Vec<&str> = touches.lines().take(head).collect();
+    let many: Vec<&str> = head.into_iter().chain(rows.iter().copied().cycle().take(200_000)).collect();
+    small.write("data/touches.csv", &(many.join("\n") + "\n"));
+    let recipe = small.read("recipe.yaml").replace("data/touches.csv }", "data/touches.csv, batch_rows: 500 }");
+    assert!(recipe.contains("batch_rows"));
+    let recipe: serde_json::Value = serde_yaml::from_str(&recipe).expect("the recipe is YAML");
+    crate::support::Variant(recipe).only(&["rough"]).write(small.folder.path());
+    // In the first pass, which reads the file, and in a later one.
+    for (signal, expected, stage) in [("-INT", 130, "touches"), ("-TERM", 143, "rough"), ("-TERM", 143, "touches")] {
+        in_batches_by(&small, signal, expected, stage);
+    }
+}
+
+#[cfg(unix)]
+fn in_batches_by(small: &Small, signal: &str, expected: i32, stage: &str) {
+    use std::io::{BufRead, BufReader};
+    use std::time::{Duration, Instant};
+
+    let temporary = small.path("temporary");
+    fs::create_dir(&temporary).expect("a folder");
+    let mut run = std::process::Command::new("env")
+        .args([DEFAULT_SIGNALS, env!("CARGO_BIN_EXE_abbe-under-test")])
+        .args(["run", "recipe.yaml", "--out", "out", "--progress", "json"])
+        .current_dir(small.folder.path())
+        .env("TMPDIR", &temporary)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    let mut lines = BufReader::new(run.stderr.take().expect("standard error")).lines();
+    let is_under_way = |line: &String| {
+        let event: serde_json::Value = serde_json::from_str(line).unwrap_or_default();
+        event["event"] == "part" && event["stage"] == stage && event["done"].as_u64() > Some(0)
+    };
+    assert!(lines.by_ref().map_while(Result::ok).any(|line| is_under_way(&line)), "{stage}: no batch was told");
+    let asked = Instant::now();
+    let sent = std::process::Command::new("kill").args([signal, &run.id().to_string()]).status();
+    assert!(sent.expect("kill is there").success());
+    let rest: Vec<String> = lines.map_while(Result::ok).collect();
+    let status = run.wait().expect("an interrupted run ends");
+    assert_eq!(status.code(), Some(expected), "{stage} {signal}: {rest:?}");
+    assert!(rest.iter().any(|line| line == "interrupted"), "{rest:?}");
+    // Generous on a machine that does other things, too.
+    assert!(asked.elapsed() < Duration::from_secs(20));
+    assert!(!small.path("out").exists(), "something half-written stays");
+    let left: Vec<_> = fs::read_dir(&temporary).expect("a folder").flatten().map(|entry| entry.path()).collect();
+    assert!(left.is_empty(), "{stage} {signal}: {left:?}");
+    fs::remove_dir(&temporary).expect("it is empty");
+}

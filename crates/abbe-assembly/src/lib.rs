@@ -11,6 +11,6 @@ mod motion;
 
 pub use assembly::{Assembly, Filters, Join, Load, Paths, Ranges, emptied, tell_left_out, without_rows};
 pub use average::Average;
-pub use batches::InBatches;
+pub use batches::{InBatches, RowsOfFile, check_batches};
 pub use files::Source;
 pub use motion::Motion;

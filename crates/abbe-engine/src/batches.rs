@@ -5,11 +5,11 @@
 //! whichever thread was first: so results do not depend on the number of threads.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use abbe_core::{
     AskedOfPart, Batches, DataRecord, Error, Fit, Identifiability, Kind, KinematicModel, Monitor, PartEvidence, Parts,
-    Problem, QuestionToRows, Result, free_threads,
+    Problem, QuestionToRows, Result, WeighedSums, free_threads,
 };
 use abbe_estimation::{joined_evidence, part_evidence};
 use abbe_recipe::Stage;
@@ -19,7 +19,7 @@ use crate::parts::{Part, Rows, values_at};
 use crate::plausibility::check_uncertainties;
 use crate::prepare::Prepared;
 use crate::problems::Taken;
-use crate::record::FileRecord;
+use crate::record::{FileRecord, Remark};
 use crate::run::Datasets;
 use crate::saved::fit_without_rows;
 use crate::statuses;
@@ -36,6 +36,8 @@ pub(crate) struct InBatches<'a> {
     /// Rows of the data sets that are read in batches.
     rows: BTreeMap<String, usize>,
     estimates: BTreeMap<String, Known>,
+    /// What is said of estimates whose outliers are not all listed.
+    unlisted: Mutex<BTreeMap<String, Remark>>,
 }
 
 /// What is known of an estimate after the first pass.
@@ -118,8 +120,8 @@ impl<'a> InBatches<'a> {
         monitor: &Monitor,
         taken: &mut Taken,
     ) -> Result<Self> {
-        let (rows, estimates) = (BTreeMap::new(), BTreeMap::new());
-        let mut batches = Self { prepared, sources, data: data.clone(), rows, estimates };
+        let (rows, estimates, unlisted) = Default::default();
+        let mut batches = Self { prepared, sources, data: data.clone(), rows, estimates, unlisted };
         let (mut all, mut rows) = (First::default(), BTreeMap::new());
         for ingest in batches.sources.keys() {
             let first = batches.first_pass(ingest, inputs, monitor)?;
@@ -160,6 +162,16 @@ impl<'a> InBatches<'a> {
         statuses::join(&mut calibration.fit.statuses, &known.part.statuses);
         self.prepared.located(stage, check_uncertainties(&calibration))?;
         Ok(Some(Fit { name: stage.name.clone(), problem: Arc::new(problem), estimator, calibration }))
+    }
+
+    /// What is to be said of an estimate because not all its outliers are listed.
+    pub fn unlisted(&self, estimate: &str) -> Option<Remark> {
+        self.unlisted.lock().unwrap_or_else(PoisonError::into_inner).get(estimate).cloned()
+    }
+
+    fn keep_unlisted(&self, estimate: &str, remark: Option<Remark>) {
+        let mut known = self.unlisted.lock().unwrap_or_else(PoisonError::into_inner);
+        known.extend(remark.map(|remark| (estimate.to_owned(), remark)));
     }
 
     /// Estimates as they are used from then on: those of batches bring no rows.
@@ -287,6 +299,13 @@ impl<'a> InBatches<'a> {
     }
 }
 
+/// What is to be said where more outliers were found than are listed.
+fn unlisted(estimate: &str, sums: &WeighedSums) -> Option<Remark> {
+    let (listed, all) = (sums.outliers.len(), sums.found);
+    let text = format!("there are {all} outliers; the {listed} with the largest residuals are listed");
+    (all > listed).then(|| Remark { estimate: estimate.to_owned(), text })
+}
+
 /// All batches of an estimate, as one part of its rows.
 struct AllBatches<'a> {
     batches: &'a InBatches<'a>,
@@ -322,7 +341,10 @@ impl Parts for AllBatches<'_> {
             Ok(())
         };
         let told = |done: usize| self.monitor.parts_done("batches", done, Some(all.len()));
-        in_order(&all, free_threads(), answer, join, told)
+        let found = in_order(&all, free_threads(), answer, join, told)?;
+        let sums = found.as_ref().and_then(|found| found.weighed.as_ref());
+        self.batches.keep_unlisted(&self.stage.name, sums.and_then(|sums| unlisted(&self.stage.name, sums)));
+        Ok(found)
     }
 
     fn sample(&self) -> Result<Option<Problem>> {
@@ -348,5 +370,22 @@ impl AllBatches<'_> {
         let model = self.known.problem.model.clone();
         let problem = self.batches.problem_of(self.stage, ingest, with_others, model, &data, None)?;
         question(&problem)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn outliers_that_are_not_listed_are_counted() {
+        let mut sums = WeighedSums { found: 12_345, ..WeighedSums::default() };
+        let told = unlisted("fit", &sums).expect("a remark");
+        assert_eq!(
+            (told.estimate.as_str(), told.text.as_str()),
+            ("fit", "there are 12345 outliers; the 0 with the largest residuals are listed")
+        );
+        sums.found = 0;
+        assert_eq!(unlisted("fit", &sums), None);
     }
 }

@@ -25,7 +25,7 @@ impl InBatches<'_> {
     pub fn sampled(&self, fit: &Fit, monitor: &Monitor) -> Result<Option<(Problem, Vec<Remark>)>> {
         let Some(whole) = self.problem(&fit.name) else { return Ok(None) };
         let stage = self.prepared.recipe_stage(&fit.name)?;
-        let (mut data, mut remarks) = (self.data.clone(), Vec::new());
+        let (mut data, mut remarks) = (self.data.clone(), Vec::from_iter(self.unlisted(&fit.name)));
         for ingest in self.prepared.batched_of(stage)? {
             let all = self.rows_of(&ingest);
             let chosen = self.chosen(&ingest, (CHOSEN, all), monitor)?;

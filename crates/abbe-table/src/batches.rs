@@ -1,8 +1,10 @@
 //! A file in batches of rows: where each begins is looked up once, and each is read when it is asked for.
+//!
+//! A packed file is unpacked once to look it up, and once for each time that all batches are asked for in turn.
 
-use std::fs::File;
-use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use abbe_core::{Dataset, Error, Result};
 use abbe_files::Packing;
@@ -10,6 +12,7 @@ use abbe_files::Packing;
 use crate::layout::{Encoding, Layout};
 use crate::parse::{Head, cells, dataset};
 use crate::text::{BYTE_ORDER_MARK, LONGEST_LINE, text, text_of_part};
+use crate::unpacking::{Part, Unpacking};
 use crate::{bytes_of, unreadable};
 
 /// The rows of a file in batches. A batch has so many rows of data, the last one may have less.
@@ -20,9 +23,11 @@ pub struct FileInBatches {
     layout: Layout,
     head: Head,
     batches: Vec<Span>,
+    /// What is unpacked, if the file is packed.
+    packed: Option<Mutex<Unpacking>>,
 }
 
-/// Where a batch stands in its file.
+/// Where a batch stands in its file, or in what is packed there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Span {
     /// Bytes before it.
@@ -41,18 +46,13 @@ impl FileInBatches {
     /// Looks through a file.
     ///
     /// Fails as reading the whole file does where its header or its first row is wrong, and for what has no lines that can be found
-    /// without reading all: packed files, text in UTF-16, and lines that end in a carriage return alone.
+    /// without reading all: text in UTF-16, and lines that end in a carriage return alone.
     pub fn new(path: &Path, layout: &Layout, rows: usize) -> Result<Self> {
-        let whole = |message: &str, help: &str| Err(Error::usage(message).in_file(path).help(help));
         let content = abbe_files::open_content(path).map_err(|error| unreadable(path, &error))?;
-        if content.packing() != Packing::None {
-            return whole(
-                "the file is packed, and packed files are not read in batches",
-                "unpack it, or leave `batch_rows` out",
-            );
-        }
+        let packed = (content.packing() != Packing::None).then(|| Mutex::new(Unpacking::new(path)));
         if layout.encoding == Encoding::Utf16 {
-            return whole("text in UTF-16 is not read in batches", "save it as UTF-8, or leave `batch_rows` out");
+            let error = Error::usage("text in UTF-16 is not read in batches").in_file(path);
+            return Err(error.help("save it as UTF-8, or leave `batch_rows` out"));
         }
         let mut lines = Lines {
             path,
@@ -68,7 +68,7 @@ impl FileInBatches {
             // The error that says why.
             dataset(path, &bytes_of(path)?, layout)?;
         }
-        Ok(Self { path: path.to_owned(), layout: layout.clone(), head, batches })
+        Ok(Self { path: path.to_owned(), layout: layout.clone(), head, batches, packed })
     }
 
     /// How many batches there are.
@@ -86,18 +86,26 @@ impl FileInBatches {
         let path = &self.path;
         let none = || Error::data(format!("there is no batch {batch}")).in_file(path);
         let span = self.batches.get(batch).ok_or_else(none)?;
-        let mut bytes = Vec::with_capacity(usize::try_from(span.length).unwrap_or(0));
-        let read = |mut file: File| {
-            file.seek(SeekFrom::Start(span.start))?;
-            file.take(span.length).read_to_end(&mut bytes)
-        };
-        let count = abbe_files::open(path).and_then(read).map_err(|error| unreadable(path, &error))?;
-        if count as u64 != span.length {
+        let bytes = self.bytes(batch, *span).map_err(|error| unreadable(path, &error))?;
+        if bytes.len() as u64 != span.length {
             let error = Error::data("the file has become shorter while it was read").in_file(path);
             return Err(error.help("run again, with files that stay as they are meanwhile"));
         }
         let text = text_of_part(path, &bytes, self.layout.encoding, span.lines)?;
         self.head.part(path, &text, [span.lines, span.before], &self.layout)
+    }
+
+    /// The bytes of a batch, as many as there are.
+    fn bytes(&self, batch: usize, Span { start, length, .. }: Span) -> io::Result<Vec<u8>> {
+        if let Some(packed) = &self.packed {
+            let parts: Vec<Part> = self.batches.iter().map(|span| (span.start, span.length)).collect();
+            return packed.lock().unwrap_or_else(PoisonError::into_inner).part(batch, &parts);
+        }
+        let mut bytes = Vec::with_capacity(usize::try_from(length).unwrap_or(0));
+        let mut file = abbe_files::open(&self.path)?;
+        file.seek(SeekFrom::Start(start))?;
+        file.take(length).read_to_end(&mut bytes)?;
+        Ok(bytes)
     }
 }
 
@@ -267,7 +275,29 @@ mod tests {
             for rows in 1..8 {
                 assert_eq!(joined(&path, &layout, rows).unwrap(), expected, "{rows}");
             }
+            for packing in [Packing::Gzip, Packing::Zstandard] {
+                std::fs::write(&path, packing.pack(content.to_vec())).unwrap();
+                for rows in 1..8 {
+                    assert_eq!(joined(&path, &layout, rows).unwrap(), expected, "{packing:?} {rows}");
+                }
+            }
         }
+    }
+
+    /// Whatever the order in which batches are asked for, and by how many threads.
+    #[test]
+    fn packed_batches_come_in_any_order() {
+        let rows: String = (0..400).map(|row| format!("f{row},{row}\n")).collect();
+        let (_folder, path) = file(&Packing::Gzip.pack(format!("feature,X_mm\n{rows}").into_bytes()));
+        let batches = FileInBatches::new(&path, &Layout::default(), 7).unwrap();
+        let read = |batch: usize| {
+            let (data, _) = batches.read(batch).unwrap();
+            assert_eq!(data.required_numbers("X").unwrap()[0], 7.0 * batch as f64);
+            assert_eq!(data.origins[0], abbe_core::RowOrigin { file: 0, line: 7 * batch + 2, row: 7 * batch + 1 });
+        };
+        (0..batches.count()).rev().chain([3, 50, 3]).for_each(read);
+        let all: Vec<usize> = (0..batches.count()).collect();
+        abbe_core::in_parallel(&all, Some(5), |batch| read(*batch));
     }
 
     fn abbe_latin(text: &str) -> Vec<u8> {
@@ -302,7 +332,7 @@ mod tests {
             let layout = Layout { encoding, ..Layout::default() };
             FileInBatches::new(&path, &layout, 5).err().expect("it is refused").to_string()
         };
-        assert!(refused(&Packing::Gzip.pack(b"X_mm\n1\n".to_vec()), Encoding::Utf8).contains("packed"));
+        assert!(refused(&Packing::Gzip.pack(b"X_mm\r1\r".to_vec()), Encoding::Utf8).contains("carriage return alone"));
         assert!(refused(b"X_mm\n1\n", Encoding::Utf16).contains("UTF-16"));
         assert!(refused(b"X_mm\r1\r2\r", Encoding::Utf8).contains("carriage return alone"));
     }
@@ -314,5 +344,19 @@ mod tests {
         std::fs::write(&path, b"X_mm\n1\n").unwrap();
         assert!(batches.read(0).is_ok());
         assert!(batches.read(2).unwrap_err().to_string().contains("has become shorter"));
+        let packed = |content: &[u8]| std::fs::write(&path, Packing::Gzip.pack(content.to_vec())).unwrap();
+        packed(b"X_mm\n1\n2\n3\n");
+        let batches = FileInBatches::new(&path, &Layout::default(), 1).unwrap();
+        packed(b"X_mm\n1\n");
+        assert!(batches.read(0).is_ok());
+        assert!(batches.read(2).unwrap_err().to_string().contains("has become shorter"));
+    }
+
+    #[test]
+    fn a_broken_packed_file_is_told_at_once() {
+        let packed = Packing::Gzip.pack((0..9999).map(|row| format!("{row}\n")).collect::<String>().into_bytes());
+        let (_folder, path) = file(&packed[..packed.len() / 2]);
+        let error = FileInBatches::new(&path, &Layout::default(), 100).err().unwrap().to_string();
+        assert!(error.contains("packed by gzip, and ends too early"), "{error}");
     }
 }

@@ -202,12 +202,15 @@ fn check_names(taken: &[Taken]) -> Result<()> {
     Ok(())
 }
 
-/// A data set that grows by rows, some at a time.
+/// A data set that grows by rows, some at a time: those of a table, or of a part of it.
 pub struct DataOfColumns<'a> {
     named: NamedColumns,
     layout: &'a Layout,
     columns: Vec<Column>,
     origins: Vec<RowOrigin>,
+    /// Rows of the table before its own.
+    before: usize,
+    /// Rows of the table up to its last one.
     rows: usize,
     /// Bytes of the content, and the most that there may be.
     content: u64,
@@ -219,7 +222,12 @@ impl<'a> DataOfColumns<'a> {
     /// Without rows yet. `most` is the number of bytes that the content may have: 8 for each cell, and those of texts.
     pub fn new(named: NamedColumns, layout: &'a Layout, most: u64) -> Self {
         let columns = named.headers().into_iter().map(empty_column).collect();
-        Self { named, layout, columns, origins: Vec::new(), rows: 0, content: 0, most, numbers: Vec::new() }
+        Self { named, layout, columns, origins: Vec::new(), before: 0, rows: 0, content: 0, most, numbers: Vec::new() }
+    }
+
+    /// The same of a part of the table, which begins after so many rows.
+    pub fn after(self, before: usize) -> Self {
+        Self { before, rows: before, ..self }
     }
 
     /// Adds rows: the cells of each column, in the order of [`NamedColumns::headers`].
@@ -278,18 +286,23 @@ impl<'a> DataOfColumns<'a> {
         Ok(())
     }
 
-    /// The data set, and the number of rows that are left out because a number was not measured. Fails if no row is left.
+    /// The data set, and the number of rows that are left out because a number was not measured. None may be left.
+    pub fn finish_part(self) -> (Dataset, usize) {
+        let left_out = self.rows - self.before - self.origins.len();
+        let files = vec![self.named.path];
+        (Dataset { columns: self.columns, origins: self.origins, files, ..Dataset::default() }, left_out)
+    }
+
+    /// The same. Fails if no row is left.
     pub fn finish(self) -> Result<(Dataset, usize)> {
         if self.origins.is_empty() {
-            let (message, help) = match self.rows {
+            let (message, help) = match self.rows - self.before {
                 0 => ("the table has no data rows", "one with measurements was expected"),
                 _ => ("all rows of the table hold a mark of `no_data`", "`no_data` may list what is a number"),
             };
             return Err(Error::data(message).in_file(&self.named.path).help(help));
         }
-        let left_out = self.rows - self.origins.len();
-        let files = vec![self.named.path];
-        Ok((Dataset { columns: self.columns, origins: self.origins, files, ..Dataset::default() }, left_out))
+        Ok(self.finish_part())
     }
 }
 

@@ -17,6 +17,7 @@ mod settings;
 mod shared;
 mod survey;
 mod text;
+mod unpacking;
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;

@@ -1,10 +1,14 @@
 //! Ingest plugins `parquet` and `arrow-ipc`.
 
 use std::collections::BTreeMap;
+use std::num::NonZeroUsize;
+use std::path::Path;
 use std::sync::Arc;
 
-use abbe_assembly::{Assembly, Average, Filters, Join, Motion, Paths, Ranges, tell_left_out};
-use abbe_core::{ColumnHeader, Context, Dataset, Ingest, InputFile, Kind, Label, Result, SettingsError, Table};
+use abbe_assembly::{Assembly, Average, Filters, InBatches, Join, Motion, Paths, Ranges, check_batches, tell_left_out};
+use abbe_core::{
+    Batches, ColumnHeader, Context, Dataset, Ingest, InputFile, Kind, Label, Result, SettingsError, Table,
+};
 use abbe_table::{Declared, Layout};
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -45,6 +49,9 @@ struct Settings {
     keep: Filters,
     /// Take means of repeated rows, after `ignore` and `keep`.
     average: Option<Average>,
+    /// Read the files in batches of so many rows and never hold all of them: 20000 for more measurements than there is memory for.
+    /// Estimates that can be made so are (`gauss-newton`); what needs all rows at once is refused. Without it all rows are held.
+    batch_rows: Option<NonZeroUsize>,
 }
 
 abbe_core::register!(
@@ -96,10 +103,14 @@ fn arrow_ipc(settings: Settings, context: &Context) -> Result<Box<dyn Ingest>, S
 
 fn build(format: Format, settings: Settings, context: &Context) -> Result<Box<dyn Ingest>, SettingsError> {
     format::check(format, Kind::Ingest)?;
-    let Settings { path, no_data, columns, constants, join, motion, within, ignore, keep, average } = settings;
+    let Settings { path, no_data, columns, constants, join, motion, within, ignore, keep, average, batch_rows } =
+        settings;
+    if batch_rows.is_some() {
+        check_batches(&[("motion", motion.is_some()), ("average", average.is_some())])?;
+    }
     let layout = Declared { no_data, columns, ..Declared::default() }.layout()?;
     let assembly = Assembly::new(path, constants, join, [ignore, keep], context)?.in_passing(motion, within)?;
-    Ok(Box::new(Columnar { format, assembly: assembly.averaged(average), layout, table: None }))
+    Ok(Box::new(Columnar { format, assembly: assembly.averaged(average), layout, table: None, batch_rows }))
 }
 
 /// The stage.
@@ -109,6 +120,8 @@ struct Columnar {
     layout: Layout,
     /// What stands in the place of the files.
     table: Option<Arc<Table>>,
+    /// Rows of a batch, if not all are held.
+    batch_rows: Option<NonZeroUsize>,
 }
 
 impl Ingest for Columnar {
@@ -133,6 +146,17 @@ impl Ingest for Columnar {
             tell_left_out(path, left_out);
             Ok(data)
         })
+    }
+
+    /// The table of a program is in memory already.
+    fn batch_rows(&self) -> Option<usize> {
+        self.batch_rows.filter(|_| self.table.is_none()).map(NonZeroUsize::get)
+    }
+
+    fn batches(&self) -> Result<Box<dyn Batches + '_>> {
+        let rows = self.batch_rows.map_or(usize::MAX, NonZeroUsize::get);
+        let file = |path: &Path| format::in_batches(self.format, path, &self.layout, rows);
+        Ok(Box::new(InBatches::new(&self.assembly, rows, file)?))
     }
 
     fn with_table(self: Box<Self>, table: Arc<Table>) -> Result<Box<dyn Ingest>> {

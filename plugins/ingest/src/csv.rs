@@ -5,9 +5,12 @@ use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::Arc;
 
-use abbe_assembly::{Assembly, Average, Filters, InBatches, Join, Motion, Paths, Ranges, tell_left_out, without_rows};
+use abbe_assembly::{
+    Assembly, Average, Filters, InBatches, Join, Motion, Paths, Ranges, RowsOfFile, check_batches, tell_left_out,
+    without_rows,
+};
 use abbe_core::{Batches, ColumnHeader, Context, Dataset, Ingest, InputFile, Label, Result, SettingsError, Table};
-use abbe_table::{Decimal, Declared, Encoding, Layout, Separator, Thousands};
+use abbe_table::{Decimal, Declared, Encoding, FileInBatches, Layout, Separator, Thousands};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -108,23 +111,11 @@ pub(crate) fn example() -> Value {
     })
 }
 
-/// Refuses batches where a row needs rows of other batches.
-fn check_batches(settings: &Settings) -> Result<(), SettingsError> {
-    let Settings { batch_rows: Some(_), motion, average, .. } = settings else { return Ok(()) };
-    let needs = [("motion", motion.is_some()), ("average", average.is_some())];
-    match needs.iter().find(|(_, is_there)| *is_there) {
-        Some((setting, _)) => Err(SettingsError::new(
-            "batch_rows",
-            format!("`{setting}` needs rows of other batches: this stage cannot be read in batches"),
-        )
-        .help(format!("leave out `batch_rows`, or `{setting}`"))),
-        None => Ok(()),
-    }
-}
-
 pub(crate) fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ingest>, SettingsError> {
-    check_batches(&settings)?;
     let batch_rows = settings.batch_rows;
+    if batch_rows.is_some() {
+        check_batches(&[("motion", settings.motion.is_some()), ("average", settings.average.is_some())])?;
+    }
     let layout = Declared {
         separator: settings.separator,
         decimal: settings.decimal,
@@ -165,7 +156,8 @@ impl Ingest for Csv {
 
     fn batches(&self) -> Result<Box<dyn Batches + '_>> {
         let rows = self.batch_rows.map_or(usize::MAX, NonZeroUsize::get);
-        Ok(Box::new(InBatches::new(&self.assembly, &self.layout, rows)?))
+        let file = |path: &Path| Ok(Box::new(FileInBatches::new(path, &self.layout, rows)?) as Box<dyn RowsOfFile>);
+        Ok(Box::new(InBatches::new(&self.assembly, rows, file)?))
     }
 
     fn with_table(self: Box<Self>, table: Arc<Table>) -> Result<Box<dyn Ingest>> {

@@ -20,13 +20,13 @@ use crate::arrow::fields;
 
 /// What a file begins and ends with. Zeros follow at the beginning, so that the stream begins at a multiple of 8; some writers add
 /// more of them.
-const MARK: &[u8] = b"ARROW1";
+pub(super) const MARK: &[u8] = b"ARROW1";
 
 /// Bytes of the beginning of a file, if no more zeros follow than have to.
 const BEGIN: usize = 8;
 
 /// What stands before the length of a part, since version 0.15 of the format.
-const CONTINUES: [u8; 4] = [0xff; 4];
+pub(super) const CONTINUES: [u8; 4] = [0xff; 4];
 
 /// Bytes in which the description of the columns has to be: 16 MiB.
 const LARGEST_SCHEMA: u64 = 16 << 20;
@@ -41,11 +41,16 @@ pub fn schema(path: &Path) -> Result<Schema> {
     let (Part::Of(end) | Part::Last(end)) = part(&bytes, begin, 0).map_err(|why| failed(&why))?;
     // A part is known when the next one begins, or the end.
     four(&bytes, end).map_err(|why| failed(&why))?;
+    decoded_schema(&bytes[begin..end]).map_err(|why| failed(&why))
+}
+
+/// The schema in the first part of a stream.
+pub(super) fn decoded_schema(part: &[u8]) -> Result<Schema, String> {
+    // The decoder goes on to what follows, if it is there.
+    let mut first = Buffer::from_vec([part, &CONTINUES].concat());
     let mut decoder = StreamDecoder::new();
-    let mut first = Buffer::from_vec(bytes).slice_with_length(begin, end + 4 - begin);
-    decoder.decode(&mut first).map_err(|why| failed(&why))?;
-    let schema = decoder.schema().ok_or_else(|| failed(&NO_SCHEMA))?;
-    Ok(schema.as_ref().clone())
+    decoder.decode(&mut first).map_err(|why| why.to_string())?;
+    Ok(decoder.schema().ok_or(NO_SCHEMA)?.as_ref().clone())
 }
 
 /// The data set of a file, and the number of rows that are left out.
@@ -60,8 +65,8 @@ pub fn read(path: &Path, layout: &Layout) -> Result<(Dataset, usize)> {
     let size = bytes.len() as u64;
     let begin = begin(&bytes);
     let end = checked(&bytes, begin, abbe_files::most_content(size)).map_err(|why| failed(&why))?;
-    if more_follows(&bytes, end) {
-        return Err(failed(&"more follows behind the mark of its end: are several files in one?"));
+    if more_follows(bytes.starts_with(MARK), &bytes[end..]) {
+        return Err(failed(&BEHIND));
     }
     let mut rest = Buffer::from_vec(bytes).slice_with_length(begin, end - begin);
     let mut decoder = StreamDecoder::new();
@@ -81,12 +86,15 @@ pub fn read(path: &Path, layout: &Layout) -> Result<(Dataset, usize)> {
     data.ok_or_else(|| failed(&NO_SCHEMA))?.finish()
 }
 
-const TOO_EARLY: &str = "it ends too early";
+pub(super) const TOO_EARLY: &str = "it ends too early";
 
-const NO_SCHEMA: &str = "it does not describe its columns";
+/// What follows a file.
+pub(super) const BEHIND: &str = "more follows behind the mark of its end: are several files in one?";
+
+pub(super) const NO_SCHEMA: &str = "it does not describe its columns";
 
 /// Where the stream begins.
-fn begin(bytes: &[u8]) -> usize {
+pub(super) fn begin(bytes: &[u8]) -> usize {
     if !bytes.starts_with(MARK) {
         return 0;
     }
@@ -97,7 +105,7 @@ fn begin(bytes: &[u8]) -> usize {
 }
 
 /// A part of a stream, by its end.
-enum Part {
+pub(super) enum Part {
     /// The schema, rows, or values that later rows refer to.
     Of(usize),
     /// The mark of the end. A stream that was cut off between two parts would be one with fewer rows without it.
@@ -115,10 +123,10 @@ fn checked(bytes: &[u8], begin: usize, most: u64) -> Result<usize, String> {
     }
 }
 
-/// Whether anything but zeros stands between the end of the stream and the list of its parts, or the end of what has none.
-fn more_follows(bytes: &[u8], end: usize) -> bool {
-    let mut rest = &bytes[end..];
-    if bytes.starts_with(MARK) {
+/// Whether anything but zeros stands between the end of the stream and the list of its parts, or the end of what has none. `rest` is what
+/// follows the stream; a file that begins with the mark has the list.
+pub(super) fn more_follows(is_file: bool, mut rest: &[u8]) -> bool {
+    if is_file {
         // The list, its length in four bytes, and the mark.
         let length =
             rest.len().checked_sub(MARK.len() + 4).and_then(|at| rest[at..].first_chunk::<4>().map(|four| (at, *four)));
@@ -130,7 +138,7 @@ fn more_follows(bytes: &[u8], end: usize) -> bool {
 }
 
 /// The part that begins at a place. Its content may have `most` bytes.
-fn part(bytes: &[u8], start: usize, most: u64) -> Result<Part, String> {
+pub(super) fn part(bytes: &[u8], start: usize, most: u64) -> Result<Part, String> {
     let mut length = four(bytes, start)?;
     let mut head = start + 4;
     if length == CONTINUES {

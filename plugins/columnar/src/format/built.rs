@@ -56,6 +56,11 @@ impl<'a> Growing<'a> {
         Self { path, places, data: DataOfColumns::new(named, layout, abbe_files::most_content(size)) }
     }
 
+    /// The same of rows before which there are so many.
+    pub fn after(self, rows: usize) -> Self {
+        Self { data: self.data.after(rows), ..self }
+    }
+
     /// Adds the rows of a batch.
     pub fn add(&mut self, batch: &RecordBatch) -> Result<()> {
         let found = rows_of(batch, &self.places).map_err(|error| error.in_file(self.path))?;
@@ -66,5 +71,9 @@ impl<'a> Growing<'a> {
     /// The data set, and the number of rows that are left out.
     pub fn finish(self) -> Result<(Dataset, usize)> {
         self.data.finish()
+    }
+    /// The same; no row may be left.
+    pub fn finish_part(self) -> (Dataset, usize) {
+        self.data.finish_part()
     }
 }

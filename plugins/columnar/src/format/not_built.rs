@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use abbe_assembly::RowsOfFile;
 use abbe_core::{Dataset, Error, Kind, Result, SettingsError};
 use abbe_table::Layout;
 
@@ -23,6 +24,11 @@ pub fn without_rows(format: Format, path: &Path, _: &Layout) -> Result<Dataset> 
 
 /// Fails.
 pub fn read(format: Format, path: &Path, _: &Layout) -> Result<(Dataset, usize)> {
+    Err(not_built(format).in_file(path))
+}
+
+/// Fails.
+pub fn in_batches(format: Format, path: &Path, _: &Layout, _: usize) -> Result<Box<dyn RowsOfFile>> {
     Err(not_built(format).in_file(path))
 }
 

@@ -9,7 +9,9 @@ use abbe_core::{Dataset, Error, Result};
 use abbe_table::{Layout, NamedColumns, unreadable};
 use arrow_array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
 use arrow_schema::{DataType, Field, Schema};
-use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use parquet::arrow::arrow_reader::{
+    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder,
+};
 use parquet::arrow::{ArrowWriter, ProjectionMask};
 use parquet::basic::{Compression, ZstdLevel};
 use parquet::file::metadata::ParquetMetaData;
@@ -32,6 +34,20 @@ pub fn schema(path: &Path) -> Result<Schema> {
 /// The data set of a file, and the number of rows that are left out.
 pub fn read(path: &Path, layout: &Layout) -> Result<(Dataset, usize)> {
     let (file, size) = open(path)?;
+    let (batches, mut data) = of_columns(path, file, layout, size)?;
+    for batch in batches {
+        data.add(&batch.map_err(|why| broken(Parquet, path, &why))?)?;
+    }
+    data.finish()
+}
+
+/// What reads the columns of a file that are taken, and the data set without rows yet.
+pub(super) fn of_columns<'a>(
+    path: &'a Path,
+    file: ParquetRecordBatchReaderBuilder<File>,
+    layout: &'a Layout,
+    size: u64,
+) -> Result<(ParquetRecordBatchReader, Growing<'a>)> {
     let named = NamedColumns::new(path, &fields(file.schema()), layout)?;
     // A batch has the columns that are taken in the order of the file.
     let wanted = named.fields();
@@ -42,20 +58,29 @@ pub fn read(path: &Path, layout: &Layout) -> Result<(Dataset, usize)> {
     let mask = ProjectionMask::roots(file.parquet_schema(), in_file);
     let batches =
         file.with_projection(mask).with_batch_size(ROWS).build().map_err(|why| broken(Parquet, path, &why))?;
-    let mut data = Growing::new(path, named, places, layout, size);
-    for batch in batches {
-        data.add(&batch.map_err(|why| broken(Parquet, path, &why))?)?;
-    }
-    data.finish()
+    Ok((batches, Growing::new(path, named, places, layout, size)))
 }
 
 fn open(path: &Path) -> Result<(ParquetRecordBatchReaderBuilder<File>, u64)> {
+    let (file, size) = opened(path)?;
+    let metadata = metadata(path, &file, size)?;
+    Ok((ParquetRecordBatchReaderBuilder::new_with_metadata(file, metadata), size))
+}
+
+/// The file, and its bytes.
+pub(super) fn opened(path: &Path) -> Result<(File, u64)> {
     let unreadable = |error: std::io::Error| unreadable(path, &error);
     let file = abbe_files::open(path).map_err(unreadable)?;
     let size = file.metadata().map_err(unreadable)?.len();
-    let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|why| broken(Parquet, path, &why))?;
-    check(builder.metadata(), size).map_err(|why| broken(Parquet, path, &why))?;
-    Ok((builder, size))
+    Ok((file, size))
+}
+
+/// What a file tells of its columns and groups of rows.
+pub(super) fn metadata(path: &Path, file: &File, size: u64) -> Result<ArrowReaderMetadata> {
+    let found = ArrowReaderMetadata::load(file, ArrowReaderOptions::new());
+    let metadata = found.map_err(|why| broken(Parquet, path, &why))?;
+    check(metadata.metadata(), size).map_err(|why| broken(Parquet, path, &why))?;
+    Ok(metadata)
 }
 
 /// Refuses columns that stand outside of the file: room would be made for them before they are read.

@@ -22,7 +22,7 @@ use super::{Format, built};
 use crate::arrow::UNIT;
 
 /// Numbers that are the same for the same seed (SplitMix64).
-struct Random(u64);
+pub(super) struct Random(pub u64);
 
 impl Random {
     fn next(&mut self) -> u64 {
@@ -33,7 +33,7 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    fn below(&mut self, end: usize) -> usize {
+    pub fn below(&mut self, end: usize) -> usize {
         (self.next() % end as u64) as usize
     }
 
@@ -44,7 +44,7 @@ impl Random {
 }
 
 /// A table as columns of Arrow, and as text.
-struct Tried {
+pub(super) struct Tried {
     fields: Vec<Field>,
     arrays: Vec<ArrayRef>,
     csv: String,
@@ -124,7 +124,7 @@ fn labels(random: &mut Random, rows: usize) -> (ArrayRef, Vec<String>) {
     }
 }
 
-fn tried(random: &mut Random, with_nulls: bool) -> Tried {
+pub(super) fn tried(random: &mut Random, with_nulls: bool) -> Tried {
     let rows = 1 + random.below(400);
     let (mut fields, mut arrays, mut names, mut cells) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for (name, unit) in
@@ -234,9 +234,9 @@ fn told((data, left_out): (Dataset, usize)) -> (Vec<abbe_core::Column>, Vec<usiz
     (data.columns, data.origins.iter().map(|origin| origin.row).collect(), left_out)
 }
 
-const FORMATS: [Format; 2] = [Format::Parquet, Format::ArrowIpc];
+pub(super) const FORMATS: [Format; 2] = [Format::Parquet, Format::ArrowIpc];
 
-fn bytes(format: Format, tried: &Tried, random: &mut Random) -> Vec<u8> {
+pub(super) fn bytes(format: Format, tried: &Tried, random: &mut Random) -> Vec<u8> {
     match format {
         Format::Parquet => tried.parquet(random),
         Format::ArrowIpc => tried.arrow_ipc(random),
