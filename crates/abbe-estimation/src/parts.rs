@@ -46,6 +46,12 @@ pub fn part_evidence(problem: &Problem, asked: AskedOfPart, at: &[f64]) -> Resul
     }
 }
 
+/// What a part tells of its rows, and at the solution, at once.
+fn rows_and_solution(problem: &Problem, at: &[f64]) -> Result<PartEvidence> {
+    let PartEvidence { recorded, .. } = part_evidence(problem, AskedOfPart::Rows, at)?;
+    Ok(PartEvidence { recorded, ..part_evidence(problem, AskedOfPart::Solution, at)? })
+}
+
 /// The rows of each artefact in nominal contact, with columns for what is considered; those that are kept, with 0 or 1.
 pub(crate) fn in_contact(problem: &Problem, at: &[f64], kept: Option<&[f64]>) -> Result<Vec<(String, Triangle)>> {
     let mut extended = rank_point(problem, at)?.with_values(at);
@@ -191,14 +197,14 @@ pub struct RowsInParts<'a> {
 }
 
 /// What all parts together tell at a solution.
-pub(crate) struct SolutionOfParts {
+pub struct SolutionOfParts {
     /// The rows of every set in nominal contact, with columns for what is considered after those of the unknowns.
-    pub of_sets: Vec<Factor>,
+    pub(crate) of_sets: Vec<Factor>,
     /// All rows there.
-    pub extended: Factor,
-    pub residuals: ResidualSums,
+    pub(crate) extended: Factor,
+    pub(crate) residuals: ResidualSums,
     /// Of a robust estimate.
-    pub kept: Option<KeptRows>,
+    pub(crate) kept: Option<KeptRows>,
 }
 
 /// What robust weights have kept of all rows.
@@ -236,11 +242,30 @@ impl<'a> RowsInParts<'a> {
         self.joined(count, all.iter().map(|evidence| evidence.nominal.as_ref()))
     }
 
-    pub(crate) fn at_solution(&self, x: &[f64], weighing: Option<&Weighing>) -> Result<SolutionOfParts> {
-        let mut all = match weighing {
+    /// What all rows tell at the solution, those of a robust estimate weighed.
+    pub fn at_solution(&self, x: &[f64], weighing: Option<&Weighing>) -> Result<SolutionOfParts> {
+        let all = match weighing {
             Some(weighing) => vec![Arc::new(self.weighed_solution(x, weighing)?)],
             None => self.all(AskedOfPart::Solution, x)?,
         };
+        self.solution_of(all, weighing.is_some())
+    }
+
+    /// The factor of all rows, and what they tell at the solution, in one pass where x is as good as the solution; none where other
+    /// processes read the rows.
+    pub fn rows_and_solution(&self, x: &[f64]) -> Result<Option<(Factor, SolutionOfParts)>> {
+        let columns = &self.columns;
+        let at = |unknown: &Unknown| columns.get(unknown.name.as_str()).map_or(0.0, |column| x[*column]);
+        let question = |problem: &Problem| {
+            let values: Vec<f64> = problem.unknowns.iter().map(at).collect();
+            rows_and_solution(problem, &values)
+        };
+        let Some(all) = self.parts.ask(&question)? else { return Ok(None) };
+        let factor = self.joined(x.len(), std::iter::once(all.recorded.as_ref()))?;
+        Ok(Some((factor, self.solution_of(vec![Arc::new(all)], false)?)))
+    }
+
+    fn solution_of(&self, mut all: Vec<Arc<PartEvidence>>, is_weighed: bool) -> Result<SolutionOfParts> {
         let count = self.problem.unknowns.len() + self.problem.considered.unknowns.len();
         let of_set = |index: SetIndex| {
             let name = &self.problem.sets[index].name;
@@ -253,8 +278,8 @@ impl<'a> RowsInParts<'a> {
         let sums = all.iter().map(|part| part.residuals.as_ref().ok_or_else(nothing));
         let residuals =
             sums.collect::<Result<Vec<_>>>()?.into_iter().fold(ResidualSums::default(), |all, own| all.with(own));
-        let kept = match (weighing, all.pop()) {
-            (Some(_), Some(only)) => Some(KeptRows {
+        let kept = match (is_weighed, all.pop()) {
+            (true, Some(only)) => Some(KeptRows {
                 nominal: self.joined(self.problem.unknowns.len(), std::iter::once(only.nominal.as_ref()))?,
                 sums: only.weighed.clone().ok_or_else(nothing)?,
             }),
