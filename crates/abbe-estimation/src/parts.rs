@@ -40,7 +40,7 @@ pub fn part_evidence(problem: &Problem, asked: AskedOfPart, at: &[f64]) -> Resul
         AskedOfPart::Rows => Ok(PartEvidence { recorded: recorded()?, ..PartEvidence::default() }),
         AskedOfPart::Solution => {
             let in_contact = in_contact(problem, at, None)?;
-            let residuals = Some(residual_sums(problem, at)?);
+            let residuals = Some(residual_sums(problem, problem.residuals(at)?)?);
             Ok(PartEvidence { in_contact, residuals, ..PartEvidence::default() })
         }
     }
@@ -48,8 +48,19 @@ pub fn part_evidence(problem: &Problem, asked: AskedOfPart, at: &[f64]) -> Resul
 
 /// What a part tells of its rows, and at the solution, at once.
 fn rows_and_solution(problem: &Problem, at: &[f64]) -> Result<PartEvidence> {
-    let PartEvidence { recorded, .. } = part_evidence(problem, AskedOfPart::Rows, at)?;
-    Ok(PartEvidence { recorded, ..part_evidence(problem, AskedOfPart::Solution, at)? })
+    if problem.equations() == 0 {
+        let PartEvidence { recorded, .. } = part_evidence(problem, AskedOfPart::Rows, at)?;
+        return Ok(PartEvidence { recorded, ..part_evidence(problem, AskedOfPart::Solution, at)? });
+    }
+    check(problem)?;
+    let own: Vec<String> = problem.unknowns.iter().map(|known| known.name.clone()).collect();
+    let (factor, residuals) = Weighted::new(problem)?.factor_and_residuals(at)?;
+    Ok(PartEvidence {
+        recorded: Some(triangle(&own, &factor)),
+        in_contact: in_contact(problem, at, None)?,
+        residuals: Some(residual_sums(problem, residuals)?),
+        ..PartEvidence::default()
+    })
 }
 
 /// The rows of each artefact in nominal contact, with columns for what is considered; those that are kept, with 0 or 1.
@@ -169,8 +180,7 @@ pub(crate) fn triangle(columns: &[String], factor: &Factor) -> Triangle {
     Triangle { columns: columns.to_vec(), values: values.collect(), rows: factor.rows() }
 }
 
-fn residual_sums(problem: &Problem, at: &[f64]) -> Result<ResidualSums> {
-    let residuals = problem.residuals(at)?;
+fn residual_sums(problem: &Problem, residuals: Vec<f64>) -> Result<ResidualSums> {
     let quantities = problem.quantities();
     let of = |angles: bool| {
         let own = residuals.iter().zip(&quantities).filter(move |(_, of)| (**of == Quantity::Angle) == angles);
@@ -251,8 +261,8 @@ impl<'a> RowsInParts<'a> {
         self.solution_of(all, weighing.is_some())
     }
 
-    /// The factor of all rows, and what they tell at the solution, in one pass where x is as good as the solution; none where other
-    /// processes read the rows.
+    /// The factor of all rows, and what they tell at the solution, in one pass: for an x that is as good as the solution. None where
+    /// other processes read the rows.
     pub fn rows_and_solution(&self, x: &[f64]) -> Result<Option<(Factor, SolutionOfParts)>> {
         let columns = &self.columns;
         let at = |unknown: &Unknown| columns.get(unknown.name.as_str()).map_or(0.0, |column| x[*column]);

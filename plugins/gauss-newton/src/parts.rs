@@ -48,7 +48,10 @@ const MARGIN: f64 = 1e3;
 const ROUNDING: f64 = 1e-12;
 
 /// Size of a step, in standard uncertainties of all rows together, that changes nothing of what rows tell beside the values.
-const HARDLY_OFF: f64 = 1e-6;
+const HARDLY_OFF: f64 = 1e-5;
+
+/// How much shorter each step is near the solution, at least.
+const SHRINKS: f64 = 1e-2;
 
 fn refused(setting: &str, why: &str) -> Result<()> {
     let message = format!("`{setting}` needs all rows at once ({why}), and these rows are in parts");
@@ -109,8 +112,8 @@ impl GaussNewton {
         Ok((solution, told))
     }
 
-    /// The same from a start that is hardly off the solution: a pass gives the step, and the next one confirms it and tells what is told
-    /// at the solution. Where more is left then than is tolerated, the iteration goes on as from anywhere.
+    /// The same from a start that is near the solution. The pass from which the last step is expected to go tells all that is told at the
+    /// solution, too. Where a step turns out longer than expected, the iteration goes on as from anywhere.
     fn from_near(
         &self,
         rows: &RowsInParts<'_>,
@@ -118,29 +121,41 @@ impl GaussNewton {
         options: &Options,
     ) -> Result<(Solution, SolutionOfParts)> {
         let goes_on = |x: &[f64], factor| self.of_plain_parts(rows, solve_from(rows, x, Some(factor), options)?);
-        let first = rows.factor(start, None)?;
-        let Some(step) = first.step() else { return goes_on(start, first) };
-        let mut x: Vec<f64> = start.iter().zip(&step).map(|(start, step)| start + step).collect();
-        let (factor, told) = match rows.rows_and_solution(&x) {
-            Ok(Some(found)) => found,
-            Err(error) if error.fatal => return Err(error),
-            Ok(None) | Err(_) => return goes_on(start, first),
-        };
-        if !(factor.cost() <= first.cost() * (1.0 + ROUNDING)) {
-            return goes_on(start, first);
+        let (mut x, mut factor, mut shrinks) = (start.to_vec(), rows.factor(start, None)?, SHRINKS);
+        for iterations in 1..options.iterations {
+            let Some(step) = factor.step() else { return goes_on(&x, factor) };
+            let size = factor.row_norm(&step);
+            let next: Vec<f64> = x.iter().zip(&step).map(|(x, step)| x + step).collect();
+            let found = match size * shrinks <= HARDLY_OFF {
+                true => rows.rows_and_solution(&next).map(|found| found.map(|(factor, told)| (factor, Some(told)))),
+                false => rows.factor(&next, None).map(|factor| Some((factor, None))),
+            };
+            let (there, told) = match found {
+                Ok(Some(found)) => found,
+                Err(error) if error.fatal => return Err(error),
+                Ok(None) | Err(_) => return goes_on(&x, factor),
+            };
+            let left = there.step().map(|step| (there.row_norm(&step), step));
+            let Some((left, last)) = left.filter(|_| there.cost() <= factor.cost() * (1.0 + ROUNDING)) else {
+                return goes_on(&x, factor);
+            };
+            rows.has_stepped(iterations, size);
+            shrinks = left / size;
+            (x, factor) = (next, there);
+            if !(shrinks <= SHRINKS) {
+                return goes_on(&x, factor);
+            }
+            if let Some(told) = told.filter(|_| left <= HARDLY_OFF && left * shrinks <= options.tolerance) {
+                x.iter_mut().zip(&last).for_each(|(x, last)| *x += last);
+                let gradient_cosine = factor.gradient_cosine();
+                let (iterations, end) = (iterations + 1, End::Converged);
+                return Ok((
+                    Solution { x, iterations, end, last_step: left, gradient_cosine, robust: None, factor },
+                    told,
+                ));
+            }
         }
-        let Some(last) = factor.step() else { return goes_on(&x, factor) };
-        let size = factor.row_norm(&last);
-        rows.has_stepped(1, first.row_norm(&step));
-        // Steps shrink at least as much from now on.
-        let left = size * size / first.row_norm(&step);
-        if !(size <= HARDLY_OFF && left <= options.tolerance) {
-            return goes_on(&x, factor);
-        }
-        x.iter_mut().zip(&last).for_each(|(x, last)| *x += last);
-        let gradient_cosine = factor.gradient_cosine();
-        let end = End::Converged;
-        Ok((Solution { x, iterations: 2, end, last_step: size, gradient_cosine, robust: None, factor }, told))
+        goes_on(&x, factor)
     }
 
     /// Where a sample of the rows ends; none where there is none, or where it does not determine what it sees. Unknowns that it does not
