@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, OnceLock};
 
 use abbe_core::{
-    AskedOfPart, Batches, DataRecord, Dataset, Error, Fit, Identifiability, Kind, KinematicModel, Monitor, PartEvidence, Parts,
-    Problem, QuestionToRows, Result, free_threads,
+    AskedOfPart, Batches, DataRecord, Dataset, Error, Fit, Identifiability, Kind, KinematicModel, Monitor,
+    PartEvidence, Parts, Problem, QuestionToRows, Result, free_threads,
 };
 use abbe_estimation::{joined_evidence, part_evidence};
 use abbe_recipe::Stage;

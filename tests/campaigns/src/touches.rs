@@ -17,8 +17,7 @@ const NOISE: f64 = 5e-4;
 
 /// The recipe of one estimate: its lines up to this one, and the estimate.
 const FIRST_ESTIMATE: &str = "  fit-S1:";
-const ESTIMATE: &str =
-    "  fit-S3: { estimate: gauss-newton, machine: hu40t, observations: [table, bar], parameters: [\"@S3\", \"table.*\"] }\n";
+const ESTIMATE: &str = "  fit-S3: { estimate: gauss-newton, machine: hu40t, observations: [table, bar], parameters: [\"@S3\", \"table.*\"] }\n";
 
 /// Where the recipe reads its touches, and where it reads them here.
 const TOUCHES: &str = "data/tango-hu40t/realistic/touches.csv,";
