@@ -142,7 +142,7 @@ impl GaussNewton {
             rows.has_stepped(iterations, size);
             shrinks = left / size;
             (x, factor) = (next, there);
-            if !(shrinks <= SHRINKS) {
+            if shrinks.is_nan() || shrinks > SHRINKS {
                 return goes_on(&x, factor);
             }
             if let Some(told) = told.filter(|_| left <= HARDLY_OFF && left * shrinks <= options.tolerance) {
