@@ -55,6 +55,9 @@ pub struct Layout {
     pub merged: Vec<DataRow>,
     /// For each pose of a row, where each column of the status comes from.
     sources: Vec<Vec<StatusSource>>,
+    /// Where these columns stand in the data.
+    #[serde(skip)]
+    places: Vec<Vec<usize>>,
 }
 
 impl Layout {
@@ -66,6 +69,11 @@ impl Layout {
         let sources = namings.iter().map(|naming| pose_columns(&headers, data.files.first(), model, naming));
         let sources = sources.collect::<Result<Vec<_>>>()?;
         unknown_axis(data, &sources)?;
+        let place = |source: &StatusSource| match source {
+            StatusSource::Column(name) => headers.iter().position(|header| header.name == *name).unwrap_or(0),
+            StatusSource::Taken(_) => 0,
+        };
+        let places = sources.iter().map(|sources| sources.iter().map(place).collect()).collect();
         Ok(Self {
             data: data.clone(),
             rows: Vec::new(),
@@ -73,6 +81,7 @@ impl Layout {
             standard_uncertainties: Vec::new(),
             merged: Vec::new(),
             sources,
+            places,
         })
     }
 
@@ -89,8 +98,9 @@ impl Layout {
         standard_uncertainties: &[f64],
     ) -> Result<()> {
         let first_pose = self.poses.end();
-        for sources in &self.sources {
-            self.poses.push(&self.data, data_row, model, sources)?;
+        for (index, sources) in self.sources.iter().enumerate() {
+            let places = self.places.get(index).map_or(&[][..], Vec::as_slice);
+            self.poses.push_from(&self.data, data_row, model, (sources, places))?;
         }
         self.add(first_pose, self.sources.len(), Some(data_row), standard_uncertainties);
         Ok(())

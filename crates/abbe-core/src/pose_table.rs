@@ -112,10 +112,22 @@ impl PoseTable {
         model: &dyn KinematicModel,
         columns: &[StatusSource],
     ) -> Result<()> {
-        for (status, source) in model.info().status.iter().zip(columns) {
+        self.push_from(data, row, model, (columns, &[]))
+    }
+
+    /// The same of columns that probably stand at these places among those of the data.
+    pub(crate) fn push_from(
+        &mut self,
+        data: &Dataset,
+        row: DataRow,
+        model: &dyn KinematicModel,
+        (columns, places): (&[StatusSource], &[usize]),
+    ) -> Result<()> {
+        for (index, (status, source)) in model.info().status.iter().zip(columns).enumerate() {
+            let place = places.get(index).copied().unwrap_or(0);
             let value = match source {
                 StatusSource::Taken(value) => *value,
-                StatusSource::Column(name) => match data.column(name).map(|column| &column.values) {
+                StatusSource::Column(name) => match data.column_near(place, name).map(|column| &column.values) {
                     Some(Values::Numbers(numbers))
                         if matches!(status.role, StatusRole::Direction(_)) && numbers[row].abs() != 1.0 =>
                     {

@@ -5,11 +5,11 @@
 //! whichever thread was first: so results do not depend on the number of threads.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use abbe_core::{
-    AskedOfPart, Batches, DataRecord, Error, Fit, Identifiability, Kind, KinematicModel, Monitor, PartEvidence, Parts,
-    Problem, QuestionToRows, Result, WeighedSums, free_threads,
+    AskedOfPart, Batches, DataRecord, Dataset, Error, Fit, Identifiability, Kind, KinematicModel, Monitor,
+    PartEvidence, Parts, Problem, QuestionToRows, Result, WeighedSums, free_threads,
 };
 use abbe_estimation::{joined_evidence, part_evidence};
 use abbe_recipe::Stage;
@@ -27,7 +27,8 @@ use crate::statuses;
 /// The data sets that are read in batches, by their ingest stages.
 pub(crate) type Sources<'a> = BTreeMap<String, Box<dyn Batches + 'a>>;
 
-/// The estimates of a recipe whose rows are read in batches, after the first pass over the rows.
+/// The estimates of a recipe whose rows are read in batches, after the first pass over the rows. That pass reads them, and evaluates
+/// nothing.
 pub(crate) struct InBatches<'a> {
     pub(crate) prepared: &'a Prepared,
     sources: Sources<'a>,
@@ -38,14 +39,18 @@ pub(crate) struct InBatches<'a> {
     estimates: BTreeMap<String, Known>,
     /// What is said of estimates whose outliers are not all listed.
     unlisted: Mutex<BTreeMap<String, Remark>>,
+    /// Rows that were chosen at random of a data set.
+    pub(crate) chosen: Mutex<BTreeMap<String, Arc<Dataset>>>,
 }
 
 /// What is known of an estimate after the first pass.
 struct Known {
     /// The unknowns of all batches, and no rows.
     problem: Problem,
-    /// What all batches told together at the start.
+    /// What all batches are together.
     part: Part,
+    /// What they tell at the start, once that was asked.
+    at_start: OnceLock<Arc<PartEvidence>>,
 }
 
 /// What a batch gives in the first pass.
@@ -110,7 +115,7 @@ impl Prepared {
 }
 
 impl<'a> InBatches<'a> {
-    /// The first pass over all rows: what estimates are of, and what their rows tell at the start. `data` has the data sets that are
+    /// The first pass over all rows: what estimates are of. `data` has the data sets that are
     /// held, and the first batch of the others; `taken` gets the rows that artefacts take of those that are held.
     pub fn new(
         prepared: &'a Prepared,
@@ -120,8 +125,8 @@ impl<'a> InBatches<'a> {
         monitor: &Monitor,
         taken: &mut Taken,
     ) -> Result<Self> {
-        let (rows, estimates, unlisted) = Default::default();
-        let mut batches = Self { prepared, sources, data: data.clone(), rows, estimates, unlisted };
+        let (rows, estimates, unlisted, chosen) = Default::default();
+        let mut batches = Self { prepared, sources, data: data.clone(), rows, estimates, unlisted, chosen };
         let (mut all, mut rows) = (First::default(), BTreeMap::new());
         for ingest in batches.sources.keys() {
             let first = batches.first_pass(ingest, inputs, monitor)?;
@@ -191,7 +196,7 @@ impl<'a> InBatches<'a> {
         self.prepared.located(stage, found).map(Some)
     }
 
-    /// What all batches of a data set tell at the start, for all estimates that observe it.
+    /// What all batches of a data set are, for all estimates that observe it.
     fn first_pass(&self, ingest: &str, inputs: &[FileRecord], monitor: &Monitor) -> Result<First> {
         let stage = self.prepared.recipe_stage(ingest)?;
         let mut estimates = Vec::new();
@@ -221,7 +226,7 @@ impl<'a> InBatches<'a> {
         }
     }
 
-    /// What one batch tells at the start. Estimates whose first data set this is have the rows that are held with the first batch.
+    /// What one batch is. Estimates whose first data set this is have the rows that are held with the first batch.
     fn first(
         &self,
         ingest: &str,
@@ -242,7 +247,7 @@ impl<'a> InBatches<'a> {
             let mut part = || {
                 let model = self.prepared.machine_of(stage, &data, false)?;
                 let problem = self.problem_of(stage, ingest, with_others, model, &data, Some(&mut taken))?;
-                Part::of(&problem, AskedOfPart::Start, &problem.start(), inputs)
+                Ok(Part::unasked(&problem, inputs))
             };
             first.parts.insert(stage.name.clone(), self.prepared.located(stage, part())?);
         }
@@ -259,7 +264,7 @@ impl<'a> InBatches<'a> {
         let part = Arc::new(part);
         let problem = self.prepared.problem_of_parts(stage, model, std::slice::from_ref(&part))?;
         self.prepared.plausible[&stage.name].check_names(&problem)?;
-        Ok(Known { problem, part: Arc::unwrap_or_clone(part) })
+        Ok(Known { problem, part: Arc::unwrap_or_clone(part), at_start: OnceLock::new() })
     }
 
     /// How many rows a data set has that is read in batches.
@@ -320,11 +325,16 @@ impl Parts for AllBatches<'_> {
     }
 
     fn evidence(&self, _: usize, asked: AskedOfPart, at: &BTreeMap<String, f64>) -> Result<Arc<PartEvidence>> {
-        if asked == AskedOfPart::Start {
-            return Ok(Arc::new(self.known.part.evidence.clone()));
+        let told = self.known.at_start.get().filter(|_| asked == AskedOfPart::Start);
+        if let Some(told) = told {
+            return Ok(told.clone());
         }
         let found = self.ask(&|problem| part_evidence(problem, asked, &values_at(problem, at)))?;
-        found.map(Arc::new).ok_or_else(|| Error::data("there are no rows"))
+        let found = found.map(Arc::new).ok_or_else(|| Error::data("there are no rows"))?;
+        match asked {
+            AskedOfPart::Start => Ok(self.known.at_start.get_or_init(|| found).clone()),
+            AskedOfPart::Rows | AskedOfPart::Solution => Ok(found),
+        }
     }
 
     fn ask(&self, question: &QuestionToRows<'_>) -> Result<Option<PartEvidence>> {
@@ -348,13 +358,10 @@ impl Parts for AllBatches<'_> {
     }
 
     fn sample(&self) -> Result<Option<Problem>> {
-        let found = self.batches.chosen_problem(self.stage, &self.known.problem, SAMPLE, &self.monitor);
+        let found = self.batches.chosen_problem(self.stage, &self.known.problem, &self.monitor);
         found.map(|problem| Some(problem.watched_by(self.monitor.clone())))
     }
 }
-
-/// How many rows of a data set are chosen, about, for an estimate to begin with: no more than a batch has, as a rule.
-const SAMPLE: usize = 5_000;
 
 impl AllBatches<'_> {
     fn answer(

@@ -52,15 +52,20 @@ pub struct Part {
 
 impl Part {
     /// The answer of the rows of a problem at some values of its unknowns.
-    pub(crate) fn of(problem: &Problem, asked: AskedOfPart, values: &[f64], inputs: &[FileRecord]) -> Result<Self> {
-        Ok(Self {
+    fn of(problem: &Problem, asked: AskedOfPart, values: &[f64], inputs: &[FileRecord]) -> Result<Self> {
+        Ok(Self { evidence: part_evidence(problem, asked, values)?, ..Self::unasked(problem, inputs) })
+    }
+
+    /// The rows of a problem before they are asked anything.
+    pub(crate) fn unasked(problem: &Problem, inputs: &[FileRecord]) -> Self {
+        Self {
             model: problem.model_record(),
             sets: problem.sets.iter().map(PartSet::of).collect(),
             data: evidence::of_problem(problem, &digests(inputs)),
             statuses: statuses::of_problem(problem),
-            evidence: part_evidence(problem, asked, values)?,
+            evidence: PartEvidence::default(),
             inputs: inputs.to_vec(),
-        })
+        }
     }
 
     /// Adds another part of the rows of the same estimate.

@@ -1,7 +1,8 @@
-//! Rows that are chosen at random of data sets that are read in batches: what tables of residuals and charts show of them.
+//! Rows that are chosen at random of data sets that are read in batches: where their estimates begin, and what tables of residuals and
+//! charts show of them.
 
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 
 use abbe_core::{DataRow, Dataset, Error, Fit, Monitor, Problem, Result, RowOrigin, free_threads};
 
@@ -13,7 +14,7 @@ use crate::parts::Rows;
 use crate::record::Remark;
 use crate::run::Datasets;
 
-/// How many rows of a data set are chosen, about: enough for a chart.
+/// How many rows of a data set are chosen, about: enough for a chart, and no more than a batch has, as a rule.
 const CHOSEN: usize = 5_000;
 
 /// The seed of the choice.
@@ -28,7 +29,7 @@ impl InBatches<'_> {
         let (mut data, mut remarks) = (self.data.clone(), Vec::from_iter(self.unlisted(&fit.name)));
         for ingest in self.prepared.batched_of(stage)? {
             let all = self.rows_of(&ingest);
-            let chosen = self.chosen(&ingest, (CHOSEN, all), monitor)?;
+            let chosen = self.chosen(&ingest, monitor)?;
             if chosen.rows() < all {
                 let text = format!(
                     "the table of its residuals, the charts and exports of residuals show {} of {all} rows of `{ingest}`, chosen at \
@@ -37,17 +38,17 @@ impl InBatches<'_> {
                 );
                 remarks.push(Remark { estimate: fit.name.clone(), text });
             }
-            data.insert(ingest, Arc::new(chosen));
+            data.insert(ingest, chosen);
         }
         Ok(Some((self.problem_of_chosen(stage, whole, &data)?, remarks)))
     }
 
-    /// The problem of an estimate on about so many rows of each data set, chosen at random.
-    pub fn chosen_problem(&self, stage: &Stage, whole: &Problem, wanted: usize, monitor: &Monitor) -> Result<Problem> {
+    /// The problem of an estimate on the rows of each data set that are chosen at random.
+    pub fn chosen_problem(&self, stage: &Stage, whole: &Problem, monitor: &Monitor) -> Result<Problem> {
         let mut data = self.data.clone();
         for ingest in self.prepared.batched_of(stage)? {
-            let chosen = self.chosen(&ingest, (wanted, self.rows_of(&ingest)), monitor)?;
-            data.insert(ingest, Arc::new(chosen));
+            let chosen = self.chosen(&ingest, monitor)?;
+            data.insert(ingest, chosen);
         }
         self.problem_of_chosen(stage, whole, &data)
     }
@@ -61,14 +62,25 @@ impl InBatches<'_> {
         self.prepared.located(stage, problem)
     }
 
-    /// About so many of all rows of a data set, in their order.
-    fn chosen(&self, ingest: &str, (wanted, all): (usize, usize), monitor: &Monitor) -> Result<Dataset> {
+    /// The chosen rows of a data set, in their order. They are chosen once.
+    fn chosen(&self, ingest: &str, monitor: &Monitor) -> Result<Arc<Dataset>> {
+        let mut known = self.chosen.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = known.get(ingest) {
+            return Ok(known.clone());
+        }
+        let chosen = Arc::new(self.choose(ingest, monitor)?);
+        known.insert(ingest.to_owned(), chosen.clone());
+        Ok(chosen)
+    }
+
+    fn choose(&self, ingest: &str, monitor: &Monitor) -> Result<Dataset> {
+        let all = self.rows_of(ingest);
         let batches: Vec<usize> = (0..self.count(ingest)).collect();
         let of_batch = |batch: &usize| {
             monitor.check()?;
             let (data, _) = self.with_batch(ingest, *batch)?;
             let data = &data[ingest];
-            let is_chosen = |row: &DataRow| is_chosen(data.origins[*row], &data.files, (wanted, all));
+            let is_chosen = |row: &DataRow| is_chosen(data.origins[*row], &data.files, all);
             Ok(data.of_rows(&data.row_indices().filter(is_chosen).collect::<Vec<_>>()))
         };
         let found = in_order(&batches, free_threads(), of_batch, Dataset::append, |_| ())?;
@@ -76,13 +88,13 @@ impl InBatches<'_> {
     }
 }
 
-/// Whether a row of a data set is among about `wanted` chosen ones of all: its file and its place there decide, whatever batch it is in. Files that repeat
-/// a programme give other rows of it.
-fn is_chosen(origin: RowOrigin, files: &[PathBuf], (wanted, all): (usize, usize)) -> bool {
+/// Whether a row of a data set is among the chosen ones of all: its file and its place there decide, whatever batch it is in. Files that
+/// repeat a programme give other rows of it.
+fn is_chosen(origin: RowOrigin, files: &[PathBuf], all: usize) -> bool {
     // The name without its folders: the same rows wherever a recipe lies.
     let name = files[origin.file].file_name().map(|name| name.as_encoded_bytes()).unwrap_or_default();
     let file = name.iter().fold(SEED, |seed, byte| mixed(seed ^ u64::from(*byte)));
-    all <= wanted || mixed(file ^ mixed(origin.row as u64)) % (all as u64) < wanted as u64
+    all <= CHOSEN || mixed(file ^ mixed(origin.row as u64)) % (all as u64) < CHOSEN as u64
 }
 
 /// A number as good as a random one (the finaliser of SplitMix64: Steele, Lea and Flood 2014, OOPSLA).
@@ -102,7 +114,7 @@ mod tests {
         let files = ["monday.csv", "tuesday.csv"].map(PathBuf::from);
         for all in [1, CHOSEN, 3 * CHOSEN, 1_000_000] {
             let origin = |row: usize| RowOrigin { file: row % 2, line: row + 1, row: row / 2 };
-            let chosen: Vec<usize> = (1..=all).filter(|row| is_chosen(origin(*row), &files, (CHOSEN, all))).collect();
+            let chosen: Vec<usize> = (1..=all).filter(|row| is_chosen(origin(*row), &files, all)).collect();
             let allowed = if all <= CHOSEN { 0 } else { CHOSEN / 20 };
             assert!(chosen.len().abs_diff(all.min(CHOSEN)) <= allowed, "{} of {all}", chosen.len());
             // The rows of one file say nothing of those of another one.

@@ -40,10 +40,27 @@ pub fn part_evidence(problem: &Problem, asked: AskedOfPart, at: &[f64]) -> Resul
         AskedOfPart::Rows => Ok(PartEvidence { recorded: recorded()?, ..PartEvidence::default() }),
         AskedOfPart::Solution => {
             let in_contact = in_contact(problem, at, None)?;
-            let residuals = Some(residual_sums(problem, at)?);
+            let residuals = Some(residual_sums(problem, problem.residuals(at)?)?);
             Ok(PartEvidence { in_contact, residuals, ..PartEvidence::default() })
         }
     }
+}
+
+/// What a part tells of its rows, and at the solution, at once.
+fn rows_and_solution(problem: &Problem, at: &[f64]) -> Result<PartEvidence> {
+    if problem.equations() == 0 {
+        let PartEvidence { recorded, .. } = part_evidence(problem, AskedOfPart::Rows, at)?;
+        return Ok(PartEvidence { recorded, ..part_evidence(problem, AskedOfPart::Solution, at)? });
+    }
+    check(problem)?;
+    let own: Vec<String> = problem.unknowns.iter().map(|known| known.name.clone()).collect();
+    let (factor, residuals) = Weighted::new(problem)?.factor_and_residuals(at)?;
+    Ok(PartEvidence {
+        recorded: Some(triangle(&own, &factor)),
+        in_contact: in_contact(problem, at, None)?,
+        residuals: Some(residual_sums(problem, residuals)?),
+        ..PartEvidence::default()
+    })
 }
 
 /// The rows of each artefact in nominal contact, with columns for what is considered; those that are kept, with 0 or 1.
@@ -163,8 +180,7 @@ pub(crate) fn triangle(columns: &[String], factor: &Factor) -> Triangle {
     Triangle { columns: columns.to_vec(), values: values.collect(), rows: factor.rows() }
 }
 
-fn residual_sums(problem: &Problem, at: &[f64]) -> Result<ResidualSums> {
-    let residuals = problem.residuals(at)?;
+fn residual_sums(problem: &Problem, residuals: Vec<f64>) -> Result<ResidualSums> {
     let quantities = problem.quantities();
     let of = |angles: bool| {
         let own = residuals.iter().zip(&quantities).filter(move |(_, of)| (**of == Quantity::Angle) == angles);
@@ -191,14 +207,14 @@ pub struct RowsInParts<'a> {
 }
 
 /// What all parts together tell at a solution.
-pub(crate) struct SolutionOfParts {
+pub struct SolutionOfParts {
     /// The rows of every set in nominal contact, with columns for what is considered after those of the unknowns.
-    pub of_sets: Vec<Factor>,
+    pub(crate) of_sets: Vec<Factor>,
     /// All rows there.
-    pub extended: Factor,
-    pub residuals: ResidualSums,
+    pub(crate) extended: Factor,
+    pub(crate) residuals: ResidualSums,
     /// Of a robust estimate.
-    pub kept: Option<KeptRows>,
+    pub(crate) kept: Option<KeptRows>,
 }
 
 /// What robust weights have kept of all rows.
@@ -236,11 +252,30 @@ impl<'a> RowsInParts<'a> {
         self.joined(count, all.iter().map(|evidence| evidence.nominal.as_ref()))
     }
 
-    pub(crate) fn at_solution(&self, x: &[f64], weighing: Option<&Weighing>) -> Result<SolutionOfParts> {
-        let mut all = match weighing {
+    /// What all rows tell at the solution, those of a robust estimate weighed.
+    pub fn at_solution(&self, x: &[f64], weighing: Option<&Weighing>) -> Result<SolutionOfParts> {
+        let all = match weighing {
             Some(weighing) => vec![Arc::new(self.weighed_solution(x, weighing)?)],
             None => self.all(AskedOfPart::Solution, x)?,
         };
+        self.solution_of(all, weighing.is_some())
+    }
+
+    /// The factor of all rows, and what they tell at the solution, in one pass: for an x that is as good as the solution. None where
+    /// other processes read the rows.
+    pub fn rows_and_solution(&self, x: &[f64]) -> Result<Option<(Factor, SolutionOfParts)>> {
+        let columns = &self.columns;
+        let at = |unknown: &Unknown| columns.get(unknown.name.as_str()).map_or(0.0, |column| x[*column]);
+        let question = |problem: &Problem| {
+            let values: Vec<f64> = problem.unknowns.iter().map(at).collect();
+            rows_and_solution(problem, &values)
+        };
+        let Some(all) = self.parts.ask(&question)? else { return Ok(None) };
+        let factor = self.joined(x.len(), std::iter::once(all.recorded.as_ref()))?;
+        Ok(Some((factor, self.solution_of(vec![Arc::new(all)], false)?)))
+    }
+
+    fn solution_of(&self, mut all: Vec<Arc<PartEvidence>>, is_weighed: bool) -> Result<SolutionOfParts> {
         let count = self.problem.unknowns.len() + self.problem.considered.unknowns.len();
         let of_set = |index: SetIndex| {
             let name = &self.problem.sets[index].name;
@@ -253,8 +288,8 @@ impl<'a> RowsInParts<'a> {
         let sums = all.iter().map(|part| part.residuals.as_ref().ok_or_else(nothing));
         let residuals =
             sums.collect::<Result<Vec<_>>>()?.into_iter().fold(ResidualSums::default(), |all, own| all.with(own));
-        let kept = match (weighing, all.pop()) {
-            (Some(_), Some(only)) => Some(KeptRows {
+        let kept = match (is_weighed, all.pop()) {
+            (true, Some(only)) => Some(KeptRows {
                 nominal: self.joined(self.problem.unknowns.len(), std::iter::once(only.nominal.as_ref()))?,
                 sums: only.weighed.clone().ok_or_else(nothing)?,
             }),

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use abbe_core::{
     Calibration, EquivalentMotionError, Error, FitReport, Identifiability, Problem, Result, Termination, VarianceFactor,
 };
-use abbe_numerics::{Directions, Factor, Robust, RobustReport, Weighing, counted_scatter_factor};
+use abbe_numerics::{Directions, Factor, Robust, RobustReport, counted_scatter_factor};
 
 use crate::calibration::calibration;
 use crate::contact::{is_judged_as_recorded, rank_point};
@@ -167,19 +167,20 @@ impl UncertaintyEvaluation {
         Ok(calibration)
     }
 
-    /// Makes the calibration from a solution of rows in parts. Parts tell no motion errors with the same effect on the tip.
+    /// Makes the calibration from a solution of rows in parts, and from what they tell there. Parts tell no motion errors with the same
+    /// effect on the tip.
     ///
-    /// `weighing` is how a robust estimate weighs them. Fails for a direction that is lost at the solution, and where no degrees of
+    /// Fails for a direction that is lost at the solution, and where no degrees of
     /// freedom are left, as for rows at once.
     pub fn calibration_of_parts(
         &self,
         rows: &RowsInParts<'_>,
         solved: EstimatorSolution,
-        weighing: Option<&Weighing>,
+        told: SolutionOfParts,
     ) -> Result<Calibration> {
         let EstimatorSolution { x, iterations, last_step, gradient_cosine, .. } = solved;
         let problem = rows.problem();
-        let SolutionOfParts { of_sets, extended, residuals, kept } = rows.at_solution(&x, weighing)?;
+        let SolutionOfParts { of_sets, extended, residuals, kept } = told;
         let own = |factor: &Factor| factor.without_unknowns(|column| column >= problem.unknowns.len());
         let (factor, of_sets) = (own(&extended), of_sets.iter().map(own).collect::<Vec<Factor>>());
         let mut found = self.identifiability(problem, &factor);
@@ -196,8 +197,9 @@ impl UncertaintyEvaluation {
             return Err(left_out.map_or_else(|| error.clone(), |kept| sets_left_out(&kept.sums.left_out, &error)));
         }
         let mut statistics = ResidualStatistics::from((&residuals, rank));
+        let is_weighed = kept.is_some();
         let sums = kept.map(|kept| kept.sums).unwrap_or_default();
-        if weighing.is_some() {
+        if is_weighed {
             statistics.sigma *= counted_scatter_factor(&sums.used_slopes.counted(), rank as f64);
         }
         if sums.found > sums.outliers.len() {

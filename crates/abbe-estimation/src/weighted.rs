@@ -75,6 +75,22 @@ impl<'a> Weighted<'a> {
         factors.pop().ok_or_else(|| Error::data("there are no rows"))
     }
 
+    /// The factor at x, and the residuals there, mm or rad.
+    pub(crate) fn factor_and_residuals(&self, x: &[f64]) -> Result<(Factor, Vec<f64>)> {
+        if self.is_correlated() {
+            return Ok((self.factor(x, None)?, self.problem.residuals(x)?));
+        }
+        let mut accumulator = Accumulator::new(self.unknowns(), self.rows());
+        let mut residuals = Vec::with_capacity(self.rows());
+        self.linearise_compact(x, |block| {
+            for (equation, residual, line) in block.lines() {
+                accumulator.push_some(block.unknowns, line, residual, 1.0);
+                residuals.push(residual * self.uncertainties[equation]);
+            }
+        })?;
+        Ok((accumulator.finish(), residuals))
+    }
+
     /// The factors of some ranges of rows.
     pub fn factors(
         &self,

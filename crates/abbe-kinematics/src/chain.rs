@@ -111,8 +111,45 @@ pub struct Evaluation {
     pub turn_by_command: Vec<Vector3<f64>>,
     /// Where errors act; empty if no derivatives are wanted.
     slots: Vec<Slot>,
-    /// Direction of the motion of every axis and the point it turns about, bed coordinates, per unit of command.
-    motions: Vec<(Vector3<f64>, Vector3<f64>)>,
+    /// The motion of every axis.
+    motions: Vec<Motion>,
+    /// The last turn of every rotary axis: poses of a run have many turns in common.
+    turns: Vec<Turn>,
+}
+
+/// The motion of an axis per unit of its command, bed coordinates.
+#[derive(Debug, Clone, Default)]
+struct Motion {
+    direction: Vector3<f64>,
+    /// The point that it turns about.
+    origin: Vector3<f64>,
+}
+
+/// A turn about a direction of a frame.
+#[derive(Debug, Clone)]
+struct Turn {
+    /// Direction times angle.
+    vector: Vector3<f64>,
+    /// Where it turns the directions of the frame.
+    turned: Directions,
+}
+
+impl Default for Turn {
+    fn default() -> Self {
+        Self { vector: Vector3::zeros(), turned: Directions::SAME }
+    }
+}
+
+impl Turn {
+    /// Makes it the turn about a unit direction.
+    fn become_of(&mut self, direction: &Vector3<f64>, angle: f64) {
+        let vector = direction * angle;
+        if vector != self.vector {
+            let turn = Rotation3::from_axis_angle(&Unit::new_unchecked(*direction), angle);
+            let turned = [0, 1, 2].map(|column| turn.matrix().column(column).into_owned());
+            *self = Self { vector, turned: Directions(turned) };
+        }
+    }
 }
 
 impl Evaluation {
@@ -155,7 +192,7 @@ impl Evaluation {
                 };
             }
         }
-        for (axis, (direction, origin)) in axes.iter().zip(&self.motions) {
+        for (axis, Motion { direction, origin }) in axes.iter().zip(&self.motions) {
             let sign = if axis.branch == Branch::Tool { 1.0 } else { -1.0 };
             let seen = |vector: &Vector3<f64>| table.inwards(vector) * sign;
             let (shift, turn) = match axis.kind {
@@ -227,19 +264,20 @@ impl Frame {
         }
     }
 
-    /// Applies a command to the frame; returns direction and origin of the motion.
-    fn command(&mut self, axis: &ChainAxis, command: f64) -> (Vector3<f64>, Vector3<f64>) {
-        let direction = self.directions.outwards(&axis.direction) * axis.sense();
+    /// Applies a command to the frame, and records the motion. `turn` is the last one of this axis.
+    fn command(&mut self, axis: &ChainAxis, command: f64, turn: &mut Turn, motion: &mut Motion) {
+        motion.direction = self.directions.outwards(&axis.direction) * axis.sense();
         match axis.kind {
-            AxisKind::Linear => self.origin += direction * command,
+            AxisKind::Linear => self.origin += motion.direction * command,
             AxisKind::Rotary => {
-                let about = Unit::new_unchecked(axis.direction);
-                let turn = Rotation3::from_axis_angle(&about, axis.sense() * command);
-                let turned = [0, 1, 2].map(|column| turn.matrix().column(column).into_owned());
-                self.directions = Directions(turned.map(|direction| self.directions.outwards(&direction)));
+                turn.become_of(&axis.direction, axis.sense() * command);
+                // A spindle stands still as a rule.
+                if turn.turned != Directions::SAME {
+                    self.directions = Directions(turn.turned.0.map(|direction| self.directions.outwards(&direction)));
+                }
             }
         }
-        (direction, self.origin)
+        motion.origin = self.origin;
     }
 }
 
@@ -309,12 +347,12 @@ impl Chain {
             frame.err(&errors[location], out.slots.get_mut(location));
             match axis.error_frame {
                 ErrorFrame::Moving => {
-                    out.motions[index] = frame.command(axis, commands[index]);
+                    frame.command(axis, commands[index], &mut out.turns[index], &mut out.motions[index]);
                     frame.err(&errors[motion], out.slots.get_mut(motion));
                 }
                 ErrorFrame::Fixed => {
                     frame.err(&errors[motion], out.slots.get_mut(motion));
-                    out.motions[index] = frame.command(axis, commands[index]);
+                    frame.command(axis, commands[index], &mut out.turns[index], &mut out.motions[index]);
                 }
             }
         }
@@ -332,7 +370,8 @@ impl Chain {
     ) {
         let recorded = if derivatives == Derivatives::None { 0 } else { self.slots() };
         out.slots.resize(recorded, Slot::default());
-        out.motions.resize(self.axes.len(), (Vector3::zeros(), Vector3::zeros()));
+        out.motions.resize(self.axes.len(), Motion::default());
+        out.turns.resize(self.axes.len(), Turn::default());
         let mut workpiece = Frame::bed(-1.0);
         self.walk(&self.workpiece, &mut workpiece, commands, errors, out);
         workpiece.err(&errors[self.workpiece_slot()], out.slots.get_mut(self.workpiece_slot()));

@@ -333,7 +333,7 @@ impl ListedBy<RowIndex> for Touch {}
 
 /// The touches of the rows of a layout.
 fn touches(facets: &[Facet], of_rows: &[usize], layout: &Layout, model: &dyn KinematicModel) -> Vec<Touch> {
-    let statuses: Vec<f64> = layout.poses.indices().flat_map(|pose| layout.poses.row(pose).to_vec()).collect();
+    let statuses: Vec<f64> = layout.poses.indices().flat_map(|pose| layout.poses.row(pose)).copied().collect();
     let mut poses = Poses::default();
     // A pose that the nominal machine does not have is refused where it is evaluated, with its row.
     if model.poses(&statuses, &model.info().nominal, &[], false, &mut poses).is_err() {

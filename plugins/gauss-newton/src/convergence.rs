@@ -2,12 +2,17 @@
 
 use std::cmp::Ordering;
 
-use abbe_core::{Convergence, Error, Problem, Termination};
+use abbe_core::{Convergence, Error, Problem, Result, Termination};
 use abbe_estimation::ill_conditioned;
 use abbe_numerics::{End, Factor, Options, Solution};
 
+/// The solution if the iteration has converged.
+pub fn converged(solution: Solution, options: &Options) -> Result<Solution> {
+    if solution.end == End::Converged { Ok(solution) } else { Err(not_converged(&solution, options)) }
+}
+
 /// The error of an iteration that ended somewhere else than at a minimum.
-pub fn not_converged(solution: &Solution, options: &Options) -> Error {
+fn not_converged(solution: &Solution, options: &Options) -> Error {
     let (termination, failed) = match solution.end {
         End::Converged | End::NoProgress => {
             (Termination::NoProgress, format!("no step makes the residuals smaller{}", left_out(solution)))

@@ -20,10 +20,10 @@ use abbe_estimation::{
     check_preferences, components, confounded, identifiability, in_order_of_preference, rival_wavelengths, separated,
     wavelengths,
 };
-use abbe_numerics::{Directions, End, Factor, LeastSquares, Options, RestrictedProblem, Robust, Solution, solve_from};
+use abbe_numerics::{Directions, Factor, LeastSquares, Options, RestrictedProblem, Robust, Solution, solve_from};
 use serde_json::{Value, json};
 
-use convergence::{ill, not_converged};
+use convergence::{converged, ill};
 use select::SelectBy;
 use settings::{OnConfounded, RobustSetting, Settings, Variance};
 
@@ -144,8 +144,7 @@ impl GaussNewton {
         factor: Option<Factor>,
         options: &Options,
     ) -> Result<Solution> {
-        let solution = solve_from(weighted, start, factor, options)?;
-        if solution.end == End::Converged { Ok(solution) } else { Err(not_converged(&solution, options)) }
+        converged(solve_from(weighted, start, factor, options)?, options)
     }
 
     /// Solves a problem; `at_start` is its factor at the start values, if it is known.

@@ -6,11 +6,13 @@ use std::sync::Arc;
 use abbe_core::{
     AskedOfPart, Calibration, Error, Identifiability, PartEvidence, Parts, Problem, QuestionToRows, Result, Unknown,
 };
-use abbe_estimation::{EstimatorSolution, Judgement, RowsInParts, confounded, identifiability, part_evidence};
-use abbe_numerics::{End, HuberPoint, Options, Solution, huber_point, solve_from, solve_in_passes};
+use abbe_estimation::{
+    EstimatorSolution, Judgement, RowsInParts, SolutionOfParts, confounded, identifiability, part_evidence,
+};
+use abbe_numerics::{End, HuberPoint, LeastSquares, Options, Solution, huber_point, solve_from, solve_in_passes};
 
 use crate::GaussNewton;
-use crate::convergence::not_converged;
+use crate::convergence::converged;
 use crate::settings::{OnConfounded, Variance};
 
 /// A problem whose rows are all here, as one part.
@@ -32,6 +34,25 @@ impl Parts for Alone<'_> {
     }
 }
 
+/// Where a sample of the rows ends.
+struct SolvedSample {
+    at: HuberPoint,
+    /// Whether it determines all unknowns of the whole problem.
+    determines_all: bool,
+}
+
+/// How much better than rank asks for a sample has to determine all unknowns: with more rows, columns differ more in size.
+const MARGIN: f64 = 1e3;
+
+/// Rounding of a sum of squares.
+const ROUNDING: f64 = 1e-12;
+
+/// Size of a step, in standard uncertainties of all rows together, that changes nothing of what rows tell beside the values.
+const HARDLY_OFF: f64 = 1e-5;
+
+/// How much shorter each step is near the solution, at least.
+const SHRINKS: f64 = 1e-2;
+
 fn refused(setting: &str, why: &str) -> Result<()> {
     let message = format!("`{setting}` needs all rows at once ({why}), and these rows are in parts");
     Err(Error::usage(message).help(AT_ONCE).setting(setting))
@@ -47,33 +68,31 @@ impl GaussNewton {
     pub(crate) fn of_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Calibration> {
         self.check_settings_for_batches()?;
         let rows = RowsInParts::new(problem, parts);
-        let nominal = rows.at_nominal_geometry()?;
-        if self.determined(&nominal).is_some() {
-            return Err(confounded(&identifiability(problem, &nominal, self.settings.rank_tolerance)));
-        }
-        let options = self.options(self.settings.tolerance, false);
-        let start = self.start_of_parts(problem, parts)?;
-        let (solution, weighing) = match (options.robust, start) {
-            (None, start) => {
-                let start = start.map_or_else(|| problem.start(), |at| at.x);
-                let options = Options { robust: None, ..options };
-                (solve_from(&rows, &start, None, &options)?, None)
+        let sample = self.start_of_parts(problem, parts)?;
+        // More rows tell no less: all of them are judged where the sample leaves something open.
+        if !sample.as_ref().is_some_and(|sample| sample.determines_all) {
+            let nominal = rows.at_nominal_geometry()?;
+            if self.determined(&nominal).is_some() {
+                return Err(confounded(&identifiability(problem, &nominal, self.settings.rank_tolerance)));
             }
+        }
+        let start = sample.map(|sample| sample.at);
+        let options = self.options(self.settings.tolerance, false);
+        let plain = Options { robust: None, ..options };
+        let (solution, told) = match (options.robust, start) {
+            (None, None) => self.of_plain_parts(&rows, solve_from(&rows, &problem.start(), None, &plain)?)?,
+            (None, Some(start)) => self.from_near(&rows, &start.x, &plain)?,
             (Some(robust), start) => {
                 let start = match start {
                     Some(start) => start,
-                    None => {
-                        let plain = Options { robust: None, ..options };
-                        RowsInParts::huber_start(self.iterate(&rows, &problem.start(), None, &plain)?.x)
-                    }
+                    None => RowsInParts::huber_start(self.iterate(&rows, &problem.start(), None, &plain)?.x),
                 };
                 let (solution, weighing) = solve_in_passes(&rows, start, robust, &options)?;
-                (solution, Some(weighing))
+                let solution = converged(solution, &options)?;
+                let told = rows.at_solution(&solution.x, Some(&weighing))?;
+                (solution, told)
             }
         };
-        if solution.end != End::Converged {
-            return Err(not_converged(&solution, &options));
-        }
         let Solution { x, iterations, last_step, gradient_cosine, .. } = solution;
         let solved = EstimatorSolution {
             x,
@@ -83,28 +102,81 @@ impl GaussNewton {
             last_step: Some(last_step),
             gradient_cosine: Some(gradient_cosine),
         };
-        self.evaluation(true).calibration_of_parts(&rows, solved, weighing.as_ref())
+        self.evaluation(true).calibration_of_parts(&rows, solved, told)
+    }
+
+    /// The end of an iteration of plain least squares, and what all rows tell there.
+    fn of_plain_parts(&self, rows: &RowsInParts<'_>, solution: Solution) -> Result<(Solution, SolutionOfParts)> {
+        let solution = converged(solution, &Options { robust: None, ..self.options(self.settings.tolerance, false) })?;
+        let told = rows.at_solution(&solution.x, None)?;
+        Ok((solution, told))
+    }
+
+    /// The same from a start that is near the solution. The pass from which the last step is expected to go tells all that is told at the
+    /// solution, too. Where a step turns out longer than expected, the iteration goes on as from anywhere.
+    fn from_near(
+        &self,
+        rows: &RowsInParts<'_>,
+        start: &[f64],
+        options: &Options,
+    ) -> Result<(Solution, SolutionOfParts)> {
+        let goes_on = |x: &[f64], factor| self.of_plain_parts(rows, solve_from(rows, x, Some(factor), options)?);
+        let (mut x, mut factor, mut shrinks) = (start.to_vec(), rows.factor(start, None)?, SHRINKS);
+        for iterations in 1..options.iterations {
+            let Some(step) = factor.step() else { return goes_on(&x, factor) };
+            let size = factor.row_norm(&step);
+            let next: Vec<f64> = x.iter().zip(&step).map(|(x, step)| x + step).collect();
+            let found = match size * shrinks <= HARDLY_OFF {
+                true => rows.rows_and_solution(&next).map(|found| found.map(|(factor, told)| (factor, Some(told)))),
+                false => rows.factor(&next, None).map(|factor| Some((factor, None))),
+            };
+            let (there, told) = match found {
+                Ok(Some(found)) => found,
+                Err(error) if error.fatal => return Err(error),
+                Ok(None) | Err(_) => return goes_on(&x, factor),
+            };
+            let left = there.step().map(|step| (there.row_norm(&step), step));
+            let Some((left, last)) = left.filter(|_| there.cost() <= factor.cost() * (1.0 + ROUNDING)) else {
+                return goes_on(&x, factor);
+            };
+            rows.has_stepped(iterations, size);
+            shrinks = left / size;
+            (x, factor) = (next, there);
+            if shrinks.is_nan() || shrinks > SHRINKS {
+                return goes_on(&x, factor);
+            }
+            if let Some(told) = told.filter(|_| left <= HARDLY_OFF && left * shrinks <= options.tolerance) {
+                x.iter_mut().zip(&last).for_each(|(x, last)| *x += last);
+                let gradient_cosine = factor.gradient_cosine();
+                let (iterations, end) = (iterations + 1, End::Converged);
+                return Ok((
+                    Solution { x, iterations, end, last_step: left, gradient_cosine, robust: None, factor },
+                    told,
+                ));
+            }
+        }
+        goes_on(&x, factor)
     }
 
     /// Where a sample of the rows ends; none where there is none, or where it does not determine what it sees. Unknowns that it does not
     /// see stay at their start values. The scale of its residuals says how rows are weighed first.
-    fn start_of_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Option<HuberPoint>> {
+    fn start_of_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Option<SolvedSample>> {
         let Some(sample) = parts.sample()? else { return Ok(None) };
-        let usual = |error: Error| if error.fatal { Err(error) } else { Ok(None) };
-        match self.solved_sample(&sample) {
-            Err(error) => usual(error),
-            Ok(None) => Ok(None),
-            Ok(Some(found)) => {
-                let known = |unknown: &Unknown| sample.unknowns.iter().position(|known| known.name == unknown.name);
-                let values = problem.unknowns.iter().zip(problem.start());
-                let x = values.map(|(unknown, start)| known(unknown).map_or(start, |place| found.x[place])).collect();
-                // Without a factor of all rows these count as if they had no leverage.
-                Ok(Some(HuberPoint { x, root: None, scale: found.scale }))
-            }
-        }
+        let found = match self.solved_sample(&sample) {
+            Err(error) if error.fatal => return Err(error),
+            Ok(Some(found)) => found,
+            Ok(None) | Err(_) => return Ok(None),
+        };
+        let known = |unknown: &Unknown| sample.unknowns.iter().position(|known| known.name == unknown.name);
+        let values = problem.unknowns.iter().zip(problem.start());
+        let x = values.map(|(unknown, start)| known(unknown).map_or(start, |place| found.at.x[place])).collect();
+        // Without a factor of all rows these count as if they had no leverage.
+        let at = HuberPoint { x, root: None, scale: found.at.scale };
+        let sees_all = problem.unknowns.iter().all(|unknown| known(unknown).is_some());
+        Ok(Some(SolvedSample { at, determines_all: found.determines_all && sees_all }))
     }
 
-    fn solved_sample(&self, sample: &Problem) -> Result<Option<HuberPoint>> {
+    fn solved_sample(&self, sample: &Problem) -> Result<Option<SolvedSample>> {
         if sample.unknowns.is_empty() || sample.equations() < sample.unknowns.len() {
             return Ok(None);
         }
@@ -112,14 +184,16 @@ impl GaussNewton {
         if self.determined(judged.factor()).is_some() {
             return Ok(None);
         }
+        let determines_all =
+            judged.factor().singular_values().rank(MARGIN * self.settings.rank_tolerance) == sample.unknowns.len();
         let options = Options { robust: None, ..self.options(self.settings.tolerance, false) };
         let x = self.iterate(&self.weighted(sample)?, &sample.start(), None, &options)?.x;
         let start = RowsInParts::huber_start(x);
-        if self.robust().is_none() {
-            return Ok(Some(start));
-        }
-        let alone = Alone(sample);
-        huber_point(&RowsInParts::new(sample, &alone), start)
+        let at = match self.robust() {
+            None => Some(start),
+            Some(_) => huber_point(&RowsInParts::new(sample, &Alone(sample)), start)?,
+        };
+        Ok(at.map(|at| SolvedSample { at, determines_all }))
     }
 
     /// What the rows of all parts determine.

@@ -15,6 +15,7 @@ pub mod signals;
 pub mod sizes;
 mod source;
 pub mod tango;
+pub mod touches;
 
 use abbe_numerics::Generator;
 
