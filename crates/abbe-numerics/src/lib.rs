@@ -54,6 +54,7 @@
 //! parallel feature is off), because its results would otherwise depend on the number of cores.
 
 mod accumulate;
+mod arrow;
 mod channels;
 mod coverage;
 mod design;
@@ -72,6 +73,7 @@ mod significance;
 mod vector;
 
 pub use accumulate::Accumulator;
+pub use arrow::{ArrowAccumulator, ArrowFactor, ArrowSpectrum, GroupSearch, Groups, OfTwoGroups};
 pub use channels::{Channel, ClippedEnd, InstrumentFault, clipped_ends, instrument_faults, repeats_are_copies};
 pub use coverage::{
     binomial_band, chi_squared_quantile, chi_squared_upper_tail, correlation_by_chance, coverage_factor,
