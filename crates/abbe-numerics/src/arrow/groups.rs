@@ -36,6 +36,12 @@ impl Groups {
         Self { members, shared, places }
     }
 
+    /// The same with more shared unknowns after all others.
+    #[must_use]
+    pub fn with_shared(&self, more: usize) -> Self {
+        Self::new(self.unknowns() + more, self.members.clone())
+    }
+
     /// Number of all unknowns.
     pub fn unknowns(&self) -> usize {
         self.places.len()
