@@ -59,7 +59,7 @@ impl Judgement {
         let judged = rank_point(&nominal, &nominal.start())?;
         let factor = Weighted::new(&judged)?.factor(&judged.start(), kept)?;
         let terms = norms_of_terms(&judged, kept)?;
-        let idle = without_effect(&nominal, &judged, (&factor, &terms), kept)?;
+        let idle = without_effect(&nominal, &judged, (factor.norms(), &terms), kept)?;
         let factor = if idle.contains(&true) { factor.with_zeros(&idle) } else { factor };
         Ok(Self { problem: judged, factor, terms, at_start })
     }
@@ -128,13 +128,12 @@ fn held(problem: &Problem) -> BTreeSet<usize> {
 ///
 /// A column is zero where it is no more than rounding leaves of the terms that cancel in it (the lever arms of a tip on the axis, a
 /// motion along the surface), or than the digits of the recorded positions make of zero.
-fn without_effect(
+pub(crate) fn without_effect(
     nominal: &Problem,
     judged: &Problem,
-    (factor, terms): (&Factor, &[f64]),
+    (norms, terms): (&[f64], &[f64]),
     kept: Option<&[f64]>,
 ) -> Result<Vec<bool>> {
-    let norms = factor.norms();
     let mut idle: Vec<bool> = norms.iter().zip(terms).map(|(norm, terms)| *norm <= ROUNDING * terms).collect();
     let doubtful = |index: usize| !idle[index] && norms[index] < CLEAR * terms[index];
     let doubtful: Vec<usize> = (0..idle.len()).filter(|&index| doubtful(index)).collect();
@@ -155,7 +154,7 @@ fn without_effect(
 ///
 /// A rotation moves a point by at most the size of its coordinates, whatever lever is left of them; a motion acts along a surface
 /// as much as along its normal.
-fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<Vec<f64>> {
+pub(crate) fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<Vec<f64>> {
     let uncertainties = problem.standard_uncertainties();
     // Of a tied unknown the size is that of all members.
     let mut machine: Vec<(usize, f64)> = Vec::new();
@@ -212,10 +211,10 @@ fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<Vec<f64>> {
 
 /// The column of every own unknown of a set; none for those that are not estimated.
 fn columns_of(problem: &Problem, set: SetIndex) -> Vec<Option<usize>> {
-    let column = |own: usize| {
-        problem.unknowns.iter().position(|unknown| unknown.owner == Owner::Set(set) && unknown.index == own)
-    };
-    (0..problem.sets[set].own.len()).map(column).collect()
+    let mut columns = vec![None; problem.sets[set].own.len()];
+    let own = problem.unknowns.iter().enumerate().filter(|(_, unknown)| unknown.owner == Owner::Set(set));
+    own.for_each(|(column, unknown)| columns[unknown.index] = Some(column));
+    columns
 }
 
 /// What motions of the poses of some rows can do to their equations.

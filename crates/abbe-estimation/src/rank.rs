@@ -50,7 +50,7 @@ fn identified(problem: &Problem, factor: &Factor, values: &SingularValues, rank:
 }
 
 /// The lost directions with the names and in the units of the unknowns, those with the largest effect first.
-fn null_space(problem: &Problem, spectrum: &Spectrum, rank: usize) -> Vec<WeakDirection> {
+pub(crate) fn null_space(problem: &Problem, spectrum: &Spectrum, rank: usize) -> Vec<WeakDirection> {
     let basis = spectrum.null_basis(rank).into_iter();
     basis.map(|(singular_value, direction)| named(problem, spectrum, singular_value, &direction, 0.0)).collect()
 }

@@ -81,10 +81,10 @@ fn sets_left_out(of_set: &BTreeMap<String, (usize, usize)>, error: &Error) -> Er
 }
 
 /// What a report tells beside rank and scatter.
-struct Told {
-    radial_rms: Option<f64>,
-    equivalent_motion_errors: Vec<EquivalentMotionError>,
-    variance: Vec<VarianceFactor>,
+pub(crate) struct Told {
+    pub radial_rms: Option<f64>,
+    pub equivalent_motion_errors: Vec<EquivalentMotionError>,
+    pub variance: Vec<VarianceFactor>,
 }
 
 impl UncertaintyEvaluation {
@@ -226,7 +226,12 @@ impl UncertaintyEvaluation {
     }
 
     /// Fails if the scatter of the residuals is needed, and says nothing.
-    fn check_redundancy(&self, statistics: &ResidualStatistics, rank: usize, propagation: &Propagation) -> Result<()> {
+    pub(crate) fn check_redundancy(
+        &self,
+        statistics: &ResidualStatistics,
+        rank: usize,
+        propagation: &Propagation,
+    ) -> Result<()> {
         // A repeated estimate without some rows needs only values and predictions. It may leave no degrees of freedom.
         let told = self.explained && !self.trust_uncertainties;
         if statistics.redundancy > 0.0 || !told || !propagation.is_scaled() {
@@ -249,7 +254,7 @@ impl UncertaintyEvaluation {
     }
 
     /// The report of a fit.
-    fn report(
+    pub(crate) fn report(
         &self,
         problem: &Problem,
         found: Identifiability,
@@ -335,7 +340,11 @@ impl UncertaintyEvaluation {
     }
 
     /// The a-posteriori factors on stated uncertainties, and their degrees of freedom.
-    fn scales(&self, statistics: &ResidualStatistics, components: Option<&VarianceComponents>) -> AposterioriFactors {
+    pub(crate) fn scales(
+        &self,
+        statistics: &ResidualStatistics,
+        components: Option<&VarianceComponents>,
+    ) -> AposterioriFactors {
         match components {
             Some(found) => AposterioriFactors::PerSet(
                 found.factors.iter().copied().zip(found.degrees_of_freedom.iter().copied()).collect(),

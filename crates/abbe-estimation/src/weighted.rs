@@ -158,7 +158,7 @@ impl LeastSquares for Weighted<'_> {
 impl Weighted<'_> {
     /// The rows at x without the columns that are zero in a whole block: residuals and derivatives divided by the standard
     /// uncertainties.
-    fn linearise_compact(&self, x: &[f64], mut sink: impl FnMut(CompactBlock<'_>)) -> Result<()> {
+    pub(crate) fn linearise_compact(&self, x: &[f64], mut sink: impl FnMut(CompactBlock<'_>)) -> Result<()> {
         let own = self.problem.unknowns.len();
         let more = own..self.unknowns();
         let (mut residuals, mut derivatives, mut unknowns) = (Vec::new(), Vec::new(), Vec::new());

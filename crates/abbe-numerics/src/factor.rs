@@ -380,6 +380,13 @@ pub struct Spectrum {
 }
 
 impl Spectrum {
+    /// Some singular values, the largest first, with their directions in scaled unknowns, of norm 1. It tells what is lost, and makes
+    /// no steps.
+    pub(crate) fn of_some(values: Vec<f64>, directions: &[Vec<f64>], scale: Vec<f64>) -> Self {
+        let vectors = Mat::from_fn(scale.len(), directions.len(), |row, k| directions[k][row]);
+        Self { right: vec![f64::NAN; values.len()], singular_values: SingularValues(values), vectors, scale }
+    }
+
     /// The singular values.
     pub fn singular_values(&self) -> &SingularValues {
         &self.singular_values
@@ -414,8 +421,7 @@ impl Spectrum {
     ///
     /// Multiply by [`scale`](Self::scale) for parameter units.
     pub fn null_basis(&self, rank: usize) -> Vec<(f64, Vec<f64>)> {
-        let n = self.scale.len();
-        let mut basis: Vec<Vec<f64>> = (rank..n).map(|k| (0..n).map(|row| self.vectors[(row, k)]).collect()).collect();
+        let mut basis: Vec<Vec<f64>> = (rank..self.vectors.ncols()).map(|k| self.direction(k)).collect();
         // Reduced row echelon form: each vector has one unknown that no other vector has.
         for (index, column) in owners(&basis).into_iter().enumerate() {
             let size = |row: &usize| basis[*row][column].abs();

@@ -1,6 +1,7 @@
 //! Gauss-Newton iteration with step control, optionally robust.
 
 use crate::accumulate::Accumulator;
+use crate::descent::{Descent, Steps};
 use crate::factor::Factor;
 use crate::reweighting::solve_robust;
 use crate::robust::{Robust, RobustReport};
@@ -179,18 +180,23 @@ pub fn solve_from<P: LeastSquares + ?Sized>(
 /// Smallest part of a step that is tried.
 const LEAST_PART: f64 = 1e-6;
 
-/// Where an iteration ended.
-pub(crate) struct Minimum {
+/// Where an iteration ended, with the factor of its rows.
+#[derive(Debug, Clone)]
+pub struct Minimum<F = Factor> {
+    /// The unknowns.
     pub x: Vec<f64>,
+    /// How it ended.
     pub end: End,
+    /// Iterations done.
     pub iterations: usize,
+    /// Size of the last step; if the iteration has not converged, of the next step.
     pub last_step: f64,
     /// The factor at x, or one small step before it.
-    pub factor: Factor,
+    pub factor: F,
 }
 
 impl Minimum {
-    pub fn solution(self, robust: Option<RobustReport>) -> Solution {
+    pub(crate) fn solution(self, robust: Option<RobustReport>) -> Solution {
         Solution {
             x: self.x,
             iterations: self.iterations,
@@ -204,19 +210,19 @@ impl Minimum {
 }
 
 /// The step of the linearised problem, and by how many standard uncertainties it moves all rows together; None if it has none.
-fn step_of(factor: &Factor) -> Option<(Vec<f64>, f64)> {
+fn step_of(factor: &impl Steps) -> Option<(Vec<f64>, f64)> {
     let step = factor.step()?;
     let size = factor.row_norm(&step);
     size.is_finite().then_some((step, size))
 }
 
-pub(crate) fn minimise<P: LeastSquares + ?Sized>(
+pub(crate) fn minimise<P: Descent + ?Sized>(
     problem: &P,
     mut x: Vec<f64>,
-    mut factor: Factor,
+    mut factor: P::Factor,
     weights: Option<&[f64]>,
     options: &Options,
-) -> Result<Minimum, P::Error> {
+) -> Result<Minimum<P::Factor>, P::Error> {
     // Size of the last step if it was a full one, its ratio to the one before, and the size of the smallest.
     let (mut last, mut last_ratio, mut smallest) = (None, None, f64::INFINITY);
     let mut trials = 0;
@@ -237,14 +243,14 @@ pub(crate) fn minimise<P: LeastSquares + ?Sized>(
         }
         smallest = smallest.min(size);
         let lower = match downhill(problem, (&x, &step), factor.cost(), weights) {
-            Err(error) if problem.is_out_of_time(&error) => {
+            Err(error) if problem.is_late(&error) => {
                 return Ok(Minimum { x, end: End::TimeLimit, iterations: iterations - 1, last_step: size, factor });
             }
             lower => lower?,
         };
         match lower {
             Some(lower) => {
-                problem.has_stepped(iterations, size * lower.part);
+                problem.stepped(iterations, size * lower.part);
                 trials += lower.trials;
                 if trials > TRIALS * options.iterations {
                     // Steps that are cut go too far: less than the last one is left.
@@ -279,9 +285,9 @@ fn remaining(size: f64, ratio: f64) -> f64 {
 }
 
 /// End point of a part of a step that does not make the sum of squares larger.
-struct Lower {
+struct Lower<F> {
     x: Vec<f64>,
-    factor: Factor,
+    factor: F,
     /// The part of the step.
     part: f64,
     /// How many parts were tried.
@@ -297,18 +303,18 @@ const CUT: f64 = 1e-6;
 
 /// The first of a step from x, its half, its quarter and so on that does not make the sum of squares larger than `cost`, with the
 /// factor there and the part that it is; None if no part does.
-fn downhill<P: LeastSquares + ?Sized>(
+fn downhill<P: Descent + ?Sized>(
     problem: &P,
     (x, step): (&[f64], &[f64]),
     cost: f64,
     weights: Option<&[f64]>,
-) -> Result<Option<Lower>, P::Error> {
+) -> Result<Option<Lower<P::Factor>>, P::Error> {
     let (mut evaluated, mut refused, mut part, mut trials) = (false, None, 1.0, 0);
     while part >= LEAST_PART {
         let mut trial = x.to_vec();
         trials += 1;
         add(&mut trial, step, part);
-        match problem.factor(&trial, weights) {
+        match problem.factor_at(&trial, weights) {
             Ok(factor) => {
                 evaluated = true;
                 let differentiable = factor.norms().iter().all(|norm| norm.is_finite());
@@ -316,7 +322,7 @@ fn downhill<P: LeastSquares + ?Sized>(
                     return Ok(Some(Lower { x: trial, factor, part, trials }));
                 }
             }
-            Err(error) if problem.is_final(&error) => return Err(error),
+            Err(error) if problem.has_no_more(&error) => return Err(error),
             Err(error) => refused = Some(error),
         }
         part *= 0.5;

@@ -54,8 +54,10 @@
 //! parallel feature is off), because its results would otherwise depend on the number of cores.
 
 mod accumulate;
+mod arrow;
 mod channels;
 mod coverage;
+mod descent;
 mod design;
 mod directions;
 mod factor;
@@ -73,6 +75,7 @@ mod significance;
 mod vector;
 
 pub use accumulate::Accumulator;
+pub use arrow::{ArrowAccumulator, ArrowFactor, ArrowSpectrum, GroupSearch, Groups, OfTwoGroups};
 pub use channels::{
     Channel, ClippedEnd, InstrumentFault, clipped_ends, instrument_faults, repeats_are_copies, resolution,
 };
@@ -81,10 +84,11 @@ pub use coverage::{
     drawn_by_chance, effective_degrees_of_freedom, hotelling_quantile, hotelling_upper_tail, joint_coverage_factor,
     rectangular_coverage_factor,
 };
+pub use descent::{Descent, Steps, minimum};
 pub use design::{Criterion, Design, DesignFigures, DesignProblem};
 pub use directions::{Directions, RestrictedProblem};
 pub use factor::{CandidateTerm, CovarianceRoot, Factor, Information, SingularValues, Spectrum};
-pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve, solve_from};
+pub use gauss_newton::{End, LeastSquares, Minimum, Options, Sink, Solution, solve, solve_from};
 pub use lower::Lower;
 pub use monte_carlo::{
     AdaptiveProcedure, Agreement, Interval, Trials, compare_with_gum, least_trials, numerical_tolerance,

@@ -193,8 +193,12 @@ impl Problem {
         work: &mut Evaluation,
         out: &mut Linearised,
     ) -> Result<()> {
-        let (set, count) = (&self.sets[index], self.unknowns.len());
+        let set = &self.sets[index];
         self.evaluate(index, rows, &columns.wanted, work)?;
+        let of_rows = columns.of_rows(index, &work.equations);
+        let (count, place) = (of_rows.len(), |column: usize| of_rows.partition_point(|other| *other < column));
+        let machine: Vec<(usize, f64)> =
+            columns.machine.iter().map(|&(column, factor)| (place(column), factor)).collect();
         let equations = work.equations.residuals.len();
         out.residuals.clear();
         out.residuals.extend_from_slice(&work.equations.residuals);
@@ -207,7 +211,7 @@ impl Problem {
             }
             let weight = Vector3::from(*weight);
             let line = &mut jacobian[equation * count..(equation + 1) * count];
-            for (derivative, &(column, factor)) in derivatives.iter().zip(&columns.machine) {
+            for (derivative, &(column, factor)) in derivatives.iter().zip(&machine) {
                 line[column] += factor * Vector3::from(*derivative).dot(&weight);
             }
         });
@@ -216,10 +220,10 @@ impl Problem {
         let inputs = work.equations.by_input.iter().map(|by| (by, inputs));
         for (&(equation, index, derivative), columns) in own.chain(inputs) {
             if let Some((column, factor)) = columns[index] {
-                jacobian[equation * count + column] += factor * derivative;
+                jacobian[equation * count + place(column)] += factor * derivative;
             }
         }
-        out.keep_columns(&jacobian, count);
+        out.keep_columns(&jacobian, &of_rows);
         work.jacobian = jacobian;
         Ok(())
     }
@@ -335,6 +339,18 @@ impl Columns {
         }
         Self { wanted, machine, of_sets }
     }
+
+    /// The columns that some equations of a set may have, ascending: of many thousands of own unknowns those of these equations alone.
+    fn of_rows(&self, set: SetIndex, equations: &Equations) -> Vec<usize> {
+        let ColumnsOfSet { own, inputs } = &self.of_sets[set];
+        let own = equations.by_own.iter().filter_map(|by| own[by.1]);
+        let inputs = equations.by_input.iter().filter_map(|by| inputs[by.1]);
+        let all = self.machine.iter().copied().chain(own).chain(inputs);
+        let mut columns: Vec<usize> = all.map(|(column, _)| column).collect();
+        columns.sort_unstable();
+        columns.dedup();
+        columns
+    }
 }
 
 /// Residuals and derivatives of some rows, as in a [`CompactBlock`].
@@ -346,18 +362,20 @@ struct Linearised {
 }
 
 impl Linearised {
-    /// Takes the columns of a matrix (row by row, `count` columns) that are not zero.
-    fn keep_columns(&mut self, jacobian: &[f64], count: usize) {
+    /// Takes the columns of a matrix (row by row, these columns) that are not zero.
+    fn keep_columns(&mut self, jacobian: &[f64], columns: &[usize]) {
+        let count = columns.len();
         let mut sizes = vec![0.0; count];
         for line in jacobian.chunks_exact(count.max(1)) {
             // This sum is faster than a test of each value. NaN counts as not zero.
             sizes.iter_mut().zip(line).for_each(|(size, value): (&mut f64, _)| *size += value.abs());
         }
         self.unknowns.clear();
-        self.unknowns.extend((0..count).filter(|&column| sizes[column] != 0.0));
+        self.unknowns.extend(columns.iter().zip(&sizes).filter(|(_, size)| **size != 0.0).map(|(column, _)| *column));
         self.derivatives.clear();
         for line in jacobian.chunks_exact(count.max(1)) {
-            self.derivatives.extend(self.unknowns.iter().map(|&column| line[column]));
+            let kept = line.iter().zip(&sizes).filter(|(_, size)| **size != 0.0);
+            self.derivatives.extend(kept.map(|(value, _)| *value));
         }
     }
 }
@@ -379,7 +397,7 @@ pub struct Evaluation {
     pub poses: Poses,
     /// The equations, in the same order.
     pub equations: Equations,
-    /// Derivatives to all unknowns, equations x unknowns.
+    /// Derivatives to the unknowns of these rows, equations x unknowns.
     jacobian: Vec<f64>,
 }
 

@@ -2,6 +2,7 @@
 //! iteration and its robust weights on problems with known answers, and coefficients against NIST's certified ones.
 
 mod accumulate;
+mod arrow;
 mod coverage;
 mod design;
 mod linear;

@@ -1,0 +1,106 @@
+//! What the iteration of Gauss and Newton needs of a problem and of the factor of its rows, whatever the form of that.
+
+use crate::arrow::ArrowFactor;
+use crate::factor::Factor;
+use crate::gauss_newton::{LeastSquares, Minimum, Options, minimise};
+
+/// A factor of rows `[J | r]`, as far as steps need it.
+pub trait Steps {
+    /// Norm of every column of J.
+    fn norms(&self) -> &[f64];
+    /// Sum of squares of r.
+    fn cost(&self) -> f64;
+    /// The Gauss-Newton step; None if there is none.
+    fn step(&self) -> Option<Vec<f64>>;
+    /// Norm of `J x`.
+    fn row_norm(&self, x: &[f64]) -> f64;
+}
+
+impl Steps for Factor {
+    fn norms(&self) -> &[f64] {
+        self.norms()
+    }
+
+    fn cost(&self) -> f64 {
+        self.cost()
+    }
+
+    fn step(&self) -> Option<Vec<f64>> {
+        self.step()
+    }
+
+    fn row_norm(&self, x: &[f64]) -> f64 {
+        self.row_norm(x)
+    }
+}
+
+impl Steps for ArrowFactor {
+    fn norms(&self) -> &[f64] {
+        self.norms()
+    }
+
+    fn cost(&self) -> f64 {
+        self.cost()
+    }
+
+    fn step(&self) -> Option<Vec<f64>> {
+        self.step()
+    }
+
+    fn row_norm(&self, x: &[f64]) -> f64 {
+        self.row_norm(x)
+    }
+}
+
+/// A problem that gives the factor of its rows, of any form. Every [`LeastSquares`] problem is one.
+pub trait Descent {
+    /// Error of an evaluation.
+    type Error;
+    /// The form of its factors.
+    type Factor: Steps;
+
+    /// Whether no evaluation is possible after this error ([`LeastSquares::is_final`]).
+    fn has_no_more(&self, error: &Self::Error) -> bool;
+
+    /// Whether this error says that the time is over ([`LeastSquares::is_out_of_time`]).
+    fn is_late(&self, error: &Self::Error) -> bool;
+
+    /// Called when the iteration has taken a step ([`LeastSquares::has_stepped`]).
+    fn stepped(&self, iteration: usize, size: f64);
+
+    /// The factor of all rows at x with these statistical weights, all 1 if there are none.
+    fn factor_at(&self, x: &[f64], weights: Option<&[f64]>) -> Result<Self::Factor, Self::Error>;
+}
+
+impl<P: LeastSquares + ?Sized> Descent for P {
+    type Error = P::Error;
+    type Factor = Factor;
+
+    fn has_no_more(&self, error: &Self::Error) -> bool {
+        self.is_final(error)
+    }
+
+    fn is_late(&self, error: &Self::Error) -> bool {
+        self.is_out_of_time(error)
+    }
+
+    fn stepped(&self, iteration: usize, size: f64) {
+        self.has_stepped(iteration, size);
+    }
+
+    fn factor_at(&self, x: &[f64], weights: Option<&[f64]>) -> Result<Factor, Self::Error> {
+        self.factor(x, weights)
+    }
+}
+
+/// Minimises the sum of squares from `start` without robust weights, as [`solve`](crate::solve) does.
+///
+/// Fails as that does.
+pub fn minimum<P: Descent + ?Sized>(
+    problem: &P,
+    start: &[f64],
+    options: &Options,
+) -> Result<Minimum<P::Factor>, P::Error> {
+    let factor = problem.factor_at(start, None)?;
+    minimise(problem, start.to_vec(), factor, None, options)
+}
