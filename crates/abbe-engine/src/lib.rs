@@ -19,6 +19,7 @@ mod kept;
 mod laws;
 mod outcome;
 mod parts;
+mod passes;
 mod places;
 mod plan;
 mod plausibility;
