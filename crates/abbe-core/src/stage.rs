@@ -78,6 +78,25 @@ pub struct Batch {
     pub left_out: usize,
 }
 
+/// The rows of a data set in their order, as often as they are asked for: a data set that is held, or one that is read in batches.
+pub trait Passes: Sync {
+    /// Shows all rows once, some at a time; data sets without rows are not shown. Those of one pass have the same columns, and each
+    /// names its own files. Ends with the first error of `look`.
+    fn pass(&self, look: &mut dyn FnMut(&Dataset) -> Result<()>) -> Result<()>;
+}
+
+impl Passes for &Dataset {
+    fn pass(&self, look: &mut dyn FnMut(&Dataset) -> Result<()>) -> Result<()> {
+        (**self).pass(look)
+    }
+}
+
+impl Passes for Dataset {
+    fn pass(&self, look: &mut dyn FnMut(&Dataset) -> Result<()>) -> Result<()> {
+        if self.rows() > 0 { look(self) } else { Ok(()) }
+    }
+}
+
 /// Observations of an artefact from a data set.
 pub trait Artefact: Send + Sync {
     /// The files that it reads.
@@ -147,6 +166,18 @@ pub trait Estimate: Send + Sync {
     /// those of a model, so that it can be used again without the readings.
     fn estimate_readings(&self, _name: &str, _data: &[&Dataset]) -> Result<Calibration> {
         Err(Error::usage("this estimator solves problems of a machine; it takes no readings by `from`").setting("from"))
+    }
+
+    /// Whether it can estimate from readings that are read in batches, by
+    /// [`estimate_readings_in_passes`](Self::estimate_readings_in_passes). Default: it needs all rows at once.
+    fn accepts_readings_in_passes(&self) -> bool {
+        false
+    }
+
+    /// As [`estimate_readings`](Self::estimate_readings), of rows that are shown again and again and need not be held. What it keeps of
+    /// them does not grow with their number.
+    fn estimate_readings_in_passes(&self, _name: &str, _data: &[&dyn Passes]) -> Result<Calibration> {
+        Err(Error::usage("this estimator needs all rows at once").setting("from"))
     }
 
     /// Whether [`estimate_readings`](Self::estimate_readings) needs no iteration: then a check makes the estimate, too, and asks
@@ -295,6 +326,17 @@ pub trait Validate: Send + Sync {
 
     /// Figures and limits for the given fits; `data` are the data sets of the stages under `from`, if any.
     fn validate(&self, fits: &[&Fit], data: &[&Dataset]) -> Result<Findings>;
+
+    /// Whether the data sets under `from` may be read in batches: then it gets them by [`validate_in_passes`](Self::validate_in_passes).
+    /// Default: it needs all rows at once.
+    fn accepts_data_in_passes(&self) -> bool {
+        false
+    }
+
+    /// As [`validate`](Self::validate), with rows that are shown again and again and need not be held.
+    fn validate_in_passes(&self, _fits: &[&Fit], _data: &[&dyn Passes]) -> Result<Findings> {
+        Err(Error::usage("this validator needs all rows at once").setting("from"))
+    }
 
     /// As [`validate`](Self::validate), with the exporters of the stages under `exports` and the names of these stages.
     fn validate_exports(&self, fits: &[&Fit], data: &[&Dataset], _exports: &[(&str, &dyn Export)]) -> Result<Findings> {

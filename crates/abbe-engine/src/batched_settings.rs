@@ -16,12 +16,19 @@ impl Prepared {
                 self.check_row_settings(stage)
             }
             Kind::Estimate => {
-                self.check_read_whole(stage, "from")?;
+                if !self.estimators.get(&stage.name).is_some_and(|own| own.accepts_readings_in_passes()) {
+                    self.check_read_whole(stage, "from")?;
+                }
                 self.check_analysed(stage)?;
                 self.batched_of(stage)?.iter().try_for_each(|ingest| self.check_rows_in_batches(&stage.name, ingest))
             }
             Kind::Validate => {
-                self.check_read_whole(stage, "from")?;
+                let own = self.validators.get(&stage.name);
+                // What controls do with exported files is asked with all rows.
+                let is_plain = stage.reference("exports").is_empty();
+                if !(is_plain && own.is_some_and(|own| own.accepts_data_in_passes())) {
+                    self.check_read_whole(stage, "from")?;
+                }
                 for name in stage.reference("observations") {
                     let (ingest, _) = self.artefact(name)?;
                     if self.is_in_batches(ingest) {

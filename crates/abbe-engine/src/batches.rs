@@ -16,6 +16,7 @@ use abbe_recipe::Stage;
 
 use crate::in_order::in_order;
 use crate::parts::{Part, Rows, values_at};
+use crate::passes::{Seen, no_rows, tell_left_out};
 use crate::plausibility::check_uncertainties;
 use crate::prepare::Prepared;
 use crate::problems::Taken;
@@ -41,6 +42,9 @@ pub(crate) struct InBatches<'a> {
     unlisted: Mutex<BTreeMap<String, Remark>>,
     /// Rows that were chosen at random of a data set.
     pub(crate) chosen: Mutex<BTreeMap<String, Arc<Dataset>>>,
+    /// The rows of data sets that stages have looked at in passes.
+    pub(crate) seen: Mutex<BTreeMap<String, Seen>>,
+    pub(crate) monitor: Monitor,
 }
 
 /// What is known of an estimate after the first pass.
@@ -125,10 +129,20 @@ impl<'a> InBatches<'a> {
         monitor: &Monitor,
         taken: &mut Taken,
     ) -> Result<Self> {
-        let (rows, estimates, unlisted, chosen) = Default::default();
-        let mut batches = Self { prepared, sources, data: data.clone(), rows, estimates, unlisted, chosen };
+        let (rows, estimates, unlisted, chosen, seen) = Default::default();
+        let mut batches = Self {
+            prepared,
+            sources,
+            data: data.clone(),
+            rows,
+            estimates,
+            unlisted,
+            chosen,
+            seen,
+            monitor: monitor.clone(),
+        };
         let (mut all, mut rows) = (First::default(), BTreeMap::new());
-        for ingest in batches.sources.keys() {
+        for ingest in batches.sources.keys().filter(|ingest| !prepared.is_only_looked_at(ingest)) {
             let first = batches.first_pass(ingest, inputs, monitor)?;
             rows.insert(ingest.clone(), first.rows[0]);
             all.join(first)?;
@@ -213,15 +227,9 @@ impl<'a> InBatches<'a> {
         let found = in_order(&all, free_threads(), first, First::join, told);
         let first = self.prepared.located(stage, found)?.unwrap_or_default();
         let [rows, left_out] = first.rows;
-        if left_out > 0 {
-            let [hold, are] = if left_out == 1 { ["row holds", "is"] } else { ["rows hold", "are"] };
-            tracing::warn!("{ingest}: {left_out} {hold} a mark of `no_data` and {are} left out");
-        }
+        tell_left_out(ingest, left_out);
         match rows {
-            0 => {
-                let error = Error::data("no row is left after `no_data`, `within`, `ignore` and `keep`");
-                self.prepared.located(stage, Err(error.help("name other rows there")))
-            }
+            0 => self.prepared.located(stage, Err(no_rows())),
             _ => Ok(first),
         }
     }
@@ -276,11 +284,16 @@ impl<'a> InBatches<'a> {
         self.sources.get(ingest).map_or(0, |source| source.count())
     }
 
+    /// The batches of a data set.
+    pub(crate) fn source(&self, ingest: &str) -> Result<&dyn Batches> {
+        let source = self.sources.get(ingest).map(AsRef::as_ref);
+        source.ok_or_else(|| Error::data("it is not read in batches").stage(ingest))
+    }
+
     /// The data sets with one batch of one of them, and the rows that are left out of it because a number was not measured.
     pub(crate) fn with_batch(&self, ingest: &str, batch: usize) -> Result<(Datasets, usize)> {
         let stage = self.prepared.recipe_stage(ingest)?;
-        let source = self.sources.get(ingest).ok_or_else(|| Error::data("it is not read in batches").stage(ingest))?;
-        let read = self.prepared.located(stage, source.read(batch))?;
+        let read = self.prepared.located(stage, self.source(ingest)?.read(batch))?;
         let mut data = self.data.clone();
         data.insert(ingest.to_owned(), Arc::new(read.data));
         Ok((data, read.left_out))

@@ -35,7 +35,7 @@ impl Prepared {
     /// The same, which the user may end on the way.
     pub fn check_until(&self, monitor: &Monitor) -> Result<Vec<Planned>> {
         let inputs = input_records(&self.files)?;
-        let sources = self.sources()?;
+        let sources = self.sources_read_once()?;
         let data = self.read_with(monitor, &sources)?;
         let inputs = self.with_given(inputs, &data)?;
         let mut taken = Taken::default();

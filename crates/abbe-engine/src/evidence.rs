@@ -4,6 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::{DataRecord, Error, Kind, Problem, Result};
 
+use abbe_recipe::Stage;
+
 use crate::batches::InBatches;
 use crate::prepare::Prepared;
 use crate::readings::{self, has_readings};
@@ -33,12 +35,14 @@ pub(crate) fn of_problem(problem: &Problem, digests: &Digests) -> Vec<DataRecord
 
 /// Records of the rows of files.
 pub(crate) fn of_rows(rows: BTreeMap<String, BTreeSet<usize>>, digests: &Digests) -> Vec<DataRecord> {
-    let record = |(file, rows): (String, BTreeSet<usize>)| DataRecord {
-        sha256: digests.get(&file).cloned(),
-        rows: runs(rows),
-        file,
-    };
-    rows.into_iter().map(record).collect()
+    of_runs(rows.into_iter().map(|(file, rows)| (file, runs(rows))).collect(), digests)
+}
+
+/// Records of runs of rows of files.
+pub(crate) fn of_runs(runs: BTreeMap<String, Vec<[usize; 2]>>, digests: &Digests) -> Vec<DataRecord> {
+    let record =
+        |(file, rows): (String, Vec<[usize; 2]>)| DataRecord { sha256: digests.get(&file).cloned(), rows, file };
+    runs.into_iter().map(record).collect()
 }
 
 /// Ascending numbers as runs of successive numbers: first and last of each run.
@@ -122,6 +126,14 @@ pub(crate) fn counted_twice(shared: &[DataRecord], between: &str) -> Error {
 }
 
 impl Prepared {
+    /// Whether other estimates refer to this one.
+    fn is_referred_to(&self, estimate: &str) -> bool {
+        let refers = |stage: &Stage| {
+            ["known", "of"].iter().any(|key| stage.reference(key).iter().any(|other| other == estimate))
+        };
+        self.stages(Kind::Estimate).any(refers)
+    }
+
     /// The rows that every estimate was made from. Fails if a row would count twice.
     pub(crate) fn evidence(
         &self,
@@ -135,6 +147,9 @@ impl Prepared {
             let name = &stage.name;
             let mut all = match self.saved.get(name) {
                 Some(saved) => saved.calibration.data.clone(),
+                // They are noted when the rows are read, unless another estimate has to know before.
+                None if self.has_passes(stage) && !self.is_referred_to(name) => Vec::new(),
+                None if self.has_passes(stage) => batches.rows_read(stage, data, digests)?,
                 None if has_readings(stage) => readings::rows(stage, data, digests),
                 None => match problems.get(name) {
                     Some(problem) => of_problem(problem, digests),

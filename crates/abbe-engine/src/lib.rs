@@ -21,6 +21,7 @@ mod laws;
 pub mod number;
 mod outcome;
 mod parts;
+mod passes;
 mod places;
 mod plan;
 mod plausibility;

@@ -4,11 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use abbe_core::{
-    Calibration, ColumnHeader, DataRecord, Dataset, Error, EstimateSource, Fit, Kind, KinematicModel, Model,
+    Calibration, ColumnHeader, DataRecord, Dataset, Error, EstimateSource, Fit, Kind, KinematicModel, Model, Passes,
     Quantities, Result,
 };
 use abbe_recipe::Stage;
 
+use crate::batches::InBatches;
 use crate::evidence::{Digests, of_rows};
 use crate::prepare::Prepared;
 use crate::run::Datasets;
@@ -79,10 +80,17 @@ impl Prepared {
     }
 
     /// The estimate.
-    pub(crate) fn of_readings(&self, stage: &Stage, data: &Datasets) -> Result<Fit> {
+    pub(crate) fn of_readings(&self, stage: &Stage, data: &Datasets, batches: &InBatches<'_>) -> Result<Fit> {
         let estimator = self.estimators[&stage.name].clone();
         let found = || {
-            let calibration = estimator.estimate_readings(&stage.name, &read_by(stage, data))?;
+            let calibration = match self.has_passes(stage) {
+                true => {
+                    let passes = batches.passes(stage, data)?;
+                    let all: Vec<&dyn Passes> = passes.iter().map(AsRef::as_ref).collect();
+                    estimator.estimate_readings_in_passes(&stage.name, &all)?
+                }
+                false => estimator.estimate_readings(&stage.name, &read_by(stage, data))?,
+            };
             let model = Arc::new(Quantities::of(&calibration)?);
             fit_without_rows(calibration, model, estimator.clone())
         };

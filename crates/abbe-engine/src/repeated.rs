@@ -31,7 +31,8 @@ impl Prepared {
             problems.values().flat_map(|problem| &problem.sets).any(|set| set.info().layout.data.files == files)
         };
         let mut found: BTreeMap<&str, String> = BTreeMap::new();
-        for name in self.stages(Kind::Validate).flat_map(|stage| stage.reference("from")) {
+        let whole = |name: &&String| !self.is_in_batches(name);
+        for name in self.stages(Kind::Validate).flat_map(|stage| stage.reference("from")).filter(whole) {
             let words = repeated_in_words(&data[name], data[name].row_indices());
             if let Some(words) = words.filter(|_| !estimated(&data[name].files)) {
                 found.insert(name, format!("{name}: {words}; each counts as a measurement of its own"));

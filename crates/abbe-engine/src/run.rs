@@ -24,7 +24,6 @@ use crate::readings::has_readings;
 use crate::record::{FileRecord, Remark, Stamp, changed, input_records, sha256, stamp, unchanged};
 use crate::saved::fit_without_rows;
 use crate::statuses;
-use crate::travel::in_travel;
 use crate::units::doubts;
 
 /// What is known before the first fit.
@@ -88,7 +87,7 @@ impl Prepared {
             return Err(unless_changed(failure.error.clone()));
         }
         let fits = batches.without_rows(fits)?;
-        let (verdicts, mut exports) = self.verdicts(&fits, &unseen, &data, monitor, &mut failures)?;
+        let (verdicts, mut exports) = self.verdicts(&fits, &unseen, (&data, &batches), monitor, &mut failures)?;
         let (fits, shown) = with_rows_to_show(fits, &batches, monitor)?;
         exports.extend(self.exports(&fits, monitor, &mut failures)?);
         // What needs them has been made all the same.
@@ -153,7 +152,14 @@ impl Prepared {
                     known.problems.get(&stage.name).map(|problem| problem.watched_by(monitor.of_stage(&stage.name)));
                 let mut fit = match known.batches.fit(stage, monitor)? {
                     Some(fit) => fit,
-                    None if has_readings(stage) => self.of_readings(stage, known.data)?,
+                    None if has_readings(stage) => {
+                        let mut fit = self.of_readings(stage, known.data, known.batches)?;
+                        fit.calibration.data = match self.has_passes(stage) {
+                            true => known.batches.rows_read(stage, known.data, known.digests)?,
+                            false => known.evidence[&stage.name].clone(),
+                        };
+                        return Ok(vec![Ok(fit)]);
+                    }
                     None => self.estimate(stage, problem.as_ref(), &fits, monitor)?,
                 };
                 fit.calibration.data.clone_from(&known.evidence[&stage.name]);
@@ -180,7 +186,7 @@ impl Prepared {
         &self,
         fits: &[Fit],
         unseen: &Predicted,
-        data: &Datasets,
+        (data, batches): (&Datasets, &InBatches<'_>),
         monitor: &Monitor,
         failures: &mut Vec<Failure>,
     ) -> Result<(Vec<Verdict>, Exports)> {
@@ -204,9 +210,7 @@ impl Prepared {
             });
             let others = others.collect::<Result<Vec<Fit>>>()?;
             let judged: Vec<&Fit> = if others.is_empty() { fits } else { others.iter().collect() };
-            let evidence: Vec<&Dataset> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
-            self.located(stage, in_travel(&judged, &evidence))?;
-            let mut findings = self.located(stage, self.findings(stage, &judged, &evidence))?;
+            let mut findings = self.located(stage, self.judged(stage, &judged, data, batches))?;
             let tables = std::mem::take(&mut findings.tables);
             let files = tables.into_iter().map(|(name, text)| ExportedFile { name, content: text.into_bytes() });
             Ok((Verdict::new(&stage.name, &stage.plugin, findings), (stage.name.clone(), files.collect())))

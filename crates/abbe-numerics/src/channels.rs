@@ -111,7 +111,7 @@ impl InstrumentFault {
 const SEVERAL: usize = 10;
 
 /// Fewest values of what moves.
-const VALUES: usize = 5;
+pub(crate) const VALUES: usize = 5;
 
 /// Largest step of the digits of readings, over their standard uncertainty, with which readings do not agree by chance.
 const FINE: f64 = 0.5;
@@ -205,9 +205,9 @@ fn levels(readings: &[f64]) -> Vec<(f64, usize)> {
 
 /// Fewest equal extremes that are told, how many times as often they are there as values next to them, and how many of these count.
 /// A smooth signal reads its extreme at most 2.4 times as often as the values beside it, in any steps.
-const EQUAL: usize = 5;
-const AS_OFTEN: f64 = 5.0;
-const NEXT: usize = 3;
+pub(crate) const EQUAL: usize = 5;
+pub(crate) const AS_OFTEN: f64 = 5.0;
+pub(crate) const NEXT: usize = 3;
 
 /// The ends at which readings are cut off: the largest or smallest reading is there far more often than those next to it and than a
 /// usual one. An end at exactly zero is none: instruments are set to zero where a run begins, and may read nothing below it.

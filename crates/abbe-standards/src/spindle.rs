@@ -267,9 +267,19 @@ impl Sectors {
 
     /// Adds a reading at an angle.
     pub fn push(&mut self, angle: f64, reading: f64) {
-        let count = self.0.len();
-        let nearest = (angle / TAU * count as f64 + 0.5).floor();
-        let sector = nearest.rem_euclid(count as f64) as usize % count;
+        self.push_in(self.sector(angle), reading);
+    }
+
+    /// The sector of an angle.
+    pub fn sector(&self, angle: f64) -> usize {
+        let count = self.0.len() as f64;
+        let nearest = (angle / TAU * count + 0.5).floor();
+        // Exact for whole numbers, and many times as fast as their remainder.
+        (nearest - (nearest / count).floor() * count) as usize
+    }
+
+    /// Adds a reading to a sector that there is.
+    pub fn push_in(&mut self, sector: usize, reading: f64) {
         let [low, high] = self.0[sector].unwrap_or([reading; 2]);
         self.0[sector] = Some([low.min(reading), high.max(reading)]);
         self.1[sector] += 1;

@@ -1,13 +1,20 @@
-//! Harmonics of readings by least squares, with the covariance that single turns tell.
+//! Harmonics of readings by least squares.
+//!
+//! Sums over the readings of a run give the normal equations (`bins.rs`), which lose digits where angles hardly tell harmonics apart:
+//! there the rows are read once more, and factored.
 
 use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 
-use abbe_core::{Error, Result};
-use abbe_numerics::{Accumulator, Spectrum};
+use abbe_core::{Error, Passes, Result};
+use abbe_numerics::{Accumulator, Factor, Spectrum};
+use abbe_standards::spindle::Harmonics;
 use nalgebra::{DMatrix, DVector};
 
-use crate::readings::Run;
+use crate::bins::Moments;
+use crate::readings::Expected;
+use crate::run::Run;
+use crate::stretches::{Stretch, each_stretch};
 
 /// What is fitted to every sensor: a constant, cosine and sine of each order, and a straight line in time.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,8 +26,9 @@ pub struct Basis {
 }
 
 impl Basis {
-    fn new(run: &Run<'_>, highest: usize, linear_drift: bool) -> Self {
-        let (first, last) = (run.times[0], run.times[run.times.len() - 1]);
+    /// Of a run.
+    pub fn new(run: &Run, highest: usize, linear_drift: bool) -> Self {
+        let [first, last] = run.times;
         Self { highest, drift: linear_drift.then_some((0.5 * (first + last), 0.5 * (last - first))) }
     }
 
@@ -44,6 +52,11 @@ impl Basis {
         self.drift.map(|(_, half)| (self.unknowns() - 1, half))
     }
 
+    /// The value of the line at a time; zero where there is none.
+    pub fn line_at(&self, time: f64) -> f64 {
+        self.drift.map_or(0.0, |(middle, half)| (time - middle) / half)
+    }
+
     fn row(&self, angle: f64, time: f64, row: &mut [f64]) {
         let (sin, cos) = angle.sin_cos();
         row[0] = 1.0;
@@ -52,8 +65,8 @@ impl Basis {
             (c, s) = (c * cos - s * sin, s * cos + c * sin);
             (row[Self::cos(order)], row[Self::sin(order)]) = (c, s);
         }
-        if let Some((middle, half)) = self.drift {
-            row[1 + 2 * self.highest] = (time - middle) / half;
+        if let Some((line, _)) = self.line() {
+            row[line] = self.line_at(time);
         }
     }
 
@@ -68,121 +81,260 @@ impl Basis {
 }
 
 /// The harmonics of a run.
-pub struct Fitted {
+pub struct Solved {
     /// What was fitted.
     pub basis: Basis,
     /// Coefficients of each sensor, mm.
     pub values: Vec<Vec<f64>>,
-    /// Covariance of the coefficients, sensor after sensor, mm².
-    pub covariance: DMatrix<f64>,
+    /// The inverse of the normal equations.
+    pub inverse: DMatrix<f64>,
     /// Condition with columns of norm 1.
     pub condition: f64,
 }
 
+/// Sums over readings while a run is read.
+pub struct Gathered {
+    moments: Moments,
+    highest: usize,
+    /// The time that others are counted from.
+    time: f64,
+    sums: Sums,
+}
+
+/// Sums over all readings of a run, for its normal equations.
+#[derive(Default)]
+pub struct Sums {
+    /// With harmonics: of 1, of the time, and of the readings of sensors.
+    one: Harmonics,
+    time: Harmonics,
+    readings: Vec<Harmonics>,
+    /// The readings that others are counted from: a large constant costs no digits.
+    first: Vec<f64>,
+    /// Sum of the squares of times.
+    squares: f64,
+    /// Sums of times times the readings of sensors.
+    times_readings: Vec<f64>,
+}
+
+/// Places of quantities among the moments: 1, the time, then the readings of sensors.
+const ONE: usize = 0;
+const TIME: usize = 1;
+const READINGS: usize = 2;
+
+impl Gathered {
+    /// Without readings, of the run that a stretch begins.
+    pub fn new(stretch: &Stretch<'_>, highest: usize) -> Self {
+        let first: Vec<f64> = stretch.readings.iter().map(|readings| readings[0]).collect();
+        let moments = Moments::new(2 * highest, READINGS + first.len());
+        let sums = Sums { times_readings: vec![0.0; first.len()], first, ..Sums::default() };
+        Self { moments, highest, time: stretch.times[0], sums }
+    }
+
+    /// Adds readings.
+    pub fn add(&mut self, stretch: &Stretch<'_>) {
+        let sums = &mut self.sums;
+        let mut quantities = vec![1.0; READINGS + sums.first.len()];
+        for (index, (angle, time)) in stretch.angles.iter().zip(stretch.times).enumerate() {
+            quantities[TIME] = time - self.time;
+            sums.squares += quantities[TIME] * quantities[TIME];
+            let sensors = stretch.readings.iter().zip(&sums.first);
+            for (place, (readings, first)) in sensors.enumerate() {
+                let reading = readings[index] - first;
+                quantities[READINGS + place] = reading;
+                sums.times_readings[place] += quantities[TIME] * reading;
+            }
+            self.moments.push(*angle, &quantities);
+        }
+    }
+
+    /// The sums, at the end of the run.
+    pub fn sums(self) -> Sums {
+        let Self { moments, highest, sums, .. } = self;
+        let readings = 0..sums.first.len();
+        Sums {
+            one: moments.with_harmonics(ONE, 2 * highest),
+            time: moments.with_harmonics(TIME, highest),
+            readings: readings.map(|sensor| moments.with_harmonics(READINGS + sensor, highest)).collect(),
+            ..sums
+        }
+    }
+}
+
+impl Sums {
+    /// The matrix of the normal equations.
+    fn matrix(&self, basis: &Basis) -> DMatrix<f64> {
+        let one = &self.one;
+        let sine = |order: isize| one.sin[order.unsigned_abs()] * order.signum() as f64;
+        let product = |row: usize, column: usize| {
+            // Orders, and whether of a sine; the constant is a cosine of order 0.
+            let [(k, is_sin), (l, is_other)] =
+                [row, column].map(|place| (place.div_ceil(2) as isize, place > 0 && place % 2 == 0));
+            let (apart, both) = ((k - l).unsigned_abs(), (k + l) as usize);
+            0.5 * match (is_sin, is_other) {
+                (false, false) => one.cos[apart] + one.cos[both],
+                (true, true) => one.cos[apart] - one.cos[both],
+                (true, false) => sine(k + l) + sine(k - l),
+                (false, true) => sine(k + l) - sine(k - l),
+            }
+        };
+        let mut matrix = DMatrix::zeros(basis.unknowns(), basis.unknowns());
+        for row in 0..=2 * basis.highest {
+            for column in 0..=row {
+                matrix[(row, column)] = product(row, column);
+                matrix[(column, row)] = matrix[(row, column)];
+            }
+        }
+        if let Some((line, half)) = basis.line() {
+            // The line is (time - half) / half of times from the first one.
+            for place in 0..line {
+                let [time, plain] = [&self.time, one].map(|sums| part(sums, place));
+                matrix[(line, place)] = (time - half * plain) / half;
+                matrix[(place, line)] = matrix[(line, place)];
+            }
+            let (times, count) = (self.time.cos[0], one.cos[0]);
+            matrix[(line, line)] = (self.squares - 2.0 * half * times + half * half * count) / (half * half);
+        }
+        matrix
+    }
+
+    /// The right-hand side of a sensor.
+    fn right_side(&self, basis: &Basis, sensor: usize) -> DVector<f64> {
+        let read = &self.readings[sensor];
+        DVector::from_fn(basis.unknowns(), |place, _| match basis.line() {
+            Some((line, half)) if place == line => (self.times_readings[sensor] - half * read.cos[0]) / half,
+            _ => part(read, place),
+        })
+    }
+
+    /// The harmonics of the run; none where its angles hardly tell them apart, or not at all.
+    pub fn solve(&self, basis: Basis) -> Option<Solved> {
+        let matrix = self.matrix(&basis);
+        let scale: Vec<f64> = matrix.diagonal().iter().map(|square| square.sqrt().recip()).collect();
+        let least = matrix.diagonal().min();
+        if !(least > matrix[(0, 0)] * HARDLY && matrix.iter().all(|value| value.is_finite())) {
+            return None;
+        }
+        let scaled = DMatrix::from_fn(scale.len(), scale.len(), |row, column| {
+            scale[row] * matrix[(row, column)] * scale[column]
+        });
+        let parts = scaled.symmetric_eigen();
+        let (most, least) = (parts.eigenvalues.max(), parts.eigenvalues.min());
+        if !(least > HARDLY * most) {
+            return None;
+        }
+        let by = DMatrix::from_fn(scale.len(), scale.len(), |row, column| {
+            scale[row] * parts.eigenvectors[(row, column)] / parts.eigenvalues[column].sqrt()
+        });
+        let inverse = &by * by.transpose();
+        let values = self.first.iter().enumerate().map(|(sensor, first)| {
+            let mut values: Vec<f64> = (&inverse * self.right_side(&basis, sensor)).iter().copied().collect();
+            values[0] += first;
+            values
+        });
+        Some(Solved { basis, values: values.collect(), condition: (most / least).sqrt(), inverse })
+    }
+}
+
+/// The sum at a place of the basis.
+fn part(sums: &Harmonics, place: usize) -> f64 {
+    let order = place.div_ceil(2);
+    if place > 0 && place % 2 == 0 { sums.sin[order] } else { sums.cos[order] }
+}
+
+/// Eigenvalues of the scaled normal equations below this part of the largest cost too many digits: a condition of 100.
+const HARDLY: f64 = 1e-4;
+
 /// Singular values below this part of the largest are none: what they tell would be noise.
 const RANK_TOLERANCE: f64 = 1e-6;
 
-/// Fits a run.
-///
-/// The covariance is that of the mean of single turns: the scores of the turns, which are what each of them would change, scatter
-/// about zero, and the law of propagation takes this to the coefficients (Liang & Zeger 1986). On a grid of angles it is the scatter
-/// of harmonics of single turns over the root of their number. What swings with a frequency of its own is in it.
-///
-/// Fails for fewer readings than unknowns, and where angles do not tell harmonics apart.
-pub fn fit(run: &Run<'_>, highest: usize, linear_drift: bool) -> Result<Fitted> {
-    let basis = Basis::new(run, highest, linear_drift);
-    let unknowns = basis.unknowns();
-    let (count, sensors) = (run.angles.len(), run.readings.len());
-    if count <= unknowns {
-        let message = format!("{count} readings cannot tell {unknowns} unknowns of each sensor");
-        return Err(run.error(message).help("read more often, or choose fewer `harmonics`"));
+/// Fails for fewer readings than unknowns, and for what the second look refuses.
+pub fn enough(run: &Run, basis: &Basis) -> Result<()> {
+    let (count, unknowns) = (run.count, basis.unknowns());
+    if run.whole_turns() < 2 || run.times[1] <= run.times[0] {
+        return Err(run.error("there are no two turns"));
     }
-    let mut row = vec![0.0; unknowns];
-    let mut values = Vec::new();
-    let mut first = None;
-    for readings in &run.readings {
-        let mut rows = Accumulator::new(unknowns, count);
-        // Counted from the first reading, so that a large constant costs no digits.
-        for (index, reading) in readings.iter().enumerate() {
-            basis.row(run.angles[index], run.times[index], &mut row);
-            rows.push(&row, readings[0] - reading, 1.0);
-        }
-        let factor = rows.finish();
-        if first.is_none() {
-            // A column of rounding is none: scaled to norm 1 it would look like one.
-            let least = RANK_TOLERANCE * (count as f64).sqrt();
-            let zero: Vec<bool> = factor.norms().iter().map(|norm| *norm < least).collect();
-            let spectrum = factor.with_zeros(&zero).spectrum();
-            let rank = spectrum.singular_values().rank(RANK_TOLERANCE);
-            if rank < unknowns {
-                return Err(aliases(run, &basis, &spectrum, rank));
-            }
-            let covariance = factor.covariance_root(rank).covariance();
-            let inverse = DMatrix::from_fn(unknowns, unknowns, |row, column| covariance[row][column]);
-            first = Some((inverse, spectrum.singular_values().condition(rank)));
-        }
-        let mut found = factor.step().ok_or_else(|| run.error("its harmonics cannot be told apart"))?;
-        found[0] += readings[0];
-        values.push(found);
+    if count > unknowns {
+        return Ok(());
     }
-    let Some((inverse, condition)) = first else { return Err(Error::usage("at least one sensor was expected")) };
-    let scores = scores(run, &basis, &values);
-    let mut covariance = DMatrix::zeros(sensors * unknowns, sensors * unknowns);
-    for one in 0..sensors {
-        for other in 0..=one {
-            let at = (one * unknowns, other * unknowns);
-            let block = &inverse * scores.view(at, (unknowns, unknowns)) * &inverse;
-            covariance.view_mut(at, (unknowns, unknowns)).copy_from(&block);
-            if one != other {
-                covariance.view_mut((at.1, at.0), (unknowns, unknowns)).copy_from(&block.transpose());
-            }
-        }
-    }
-    Ok(Fitted { basis, values, covariance, condition })
+    let message = format!("{count} readings cannot tell {unknowns} unknowns of each sensor");
+    Err(run.error(message).help("read more often, or choose fewer `harmonics`"))
 }
 
-/// Sum of squares and products of the scores of single turns.
-fn scores(run: &Run<'_>, basis: &Basis, values: &[Vec<f64>]) -> DMatrix<f64> {
-    let (unknowns, whole) = (basis.unknowns(), run.whole_turns());
-    let size = values.len() * unknowns;
-    let mut squares = DMatrix::zeros(size, size);
-    let mut row = vec![0.0; unknowns];
-    let (mut score, mut turn) = (DVector::zeros(size), 0);
-    for index in 0..run.angles.len() {
-        if run.turn(index) != turn {
-            squares.ger(1.0, &score, &score, 1.0);
-            score.fill(0.0);
-            turn = run.turn(index);
-        }
-        basis.row(run.angles[index], run.times[index], &mut row);
-        for (sensor, values) in values.iter().enumerate() {
-            let fitted: f64 = row.iter().zip(values).map(|(row, value)| row * value).sum();
-            let rest = run.readings[sensor][index] - fitted;
-            let own = score.as_mut_slice()[sensor * unknowns..][..unknowns].iter_mut();
-            own.zip(&row).for_each(|(score, row)| *score += row * rest);
-        }
-    }
-    squares.ger(1.0, &score, &score, 1.0);
-    squares * (whole as f64 / (whole as f64 - 1.0))
+/// The readings of a run, to be factored.
+struct Rows<'a> {
+    run: &'a Run,
+    basis: Basis,
+    sensors: Vec<Accumulator>,
+    /// Different angles of a turn in parts of 1e-6 rad, one more than tell all harmonics at most.
+    angles: BTreeSet<i64>,
 }
 
-impl Fitted {
-    /// What is left of a reading, for each sensor, mm.
-    pub fn each_rest(&self, run: &Run<'_>, mut look: impl FnMut(usize, &[f64])) {
+/// The harmonics of some runs, by factors of all their readings: each of them, or why its angles do not tell them.
+pub fn factored(
+    data: &[&dyn Passes],
+    expected: &Expected<'_>,
+    runs: &[(usize, &Run, Basis)],
+) -> Result<Vec<Result<Solved>>> {
+    let (mut solved, mut present): (Vec<Result<Solved>>, Option<Rows<'_>>) = (Vec::new(), None);
+    each_stretch(data, expected, &mut |stretch| {
+        if stretch.first == 0 {
+            solved.extend(present.take().map(Rows::solve));
+            let own = runs.iter().find(|(number, ..)| *number == stretch.run);
+            present = own.map(|(_, run, basis)| Rows::new(run, *basis));
+        }
+        present.iter_mut().for_each(|rows| rows.add(stretch));
+        Ok(())
+    })?;
+    solved.extend(present.map(Rows::solve));
+    Ok(solved)
+}
+
+impl<'a> Rows<'a> {
+    fn new(run: &'a Run, basis: Basis) -> Self {
+        let sensors = run.readings.iter().map(|_| Accumulator::new(basis.unknowns(), run.count));
+        Self { run, basis, sensors: sensors.collect(), angles: BTreeSet::new() }
+    }
+
+    fn add(&mut self, stretch: &Stretch<'_>) {
         let mut row = vec![0.0; self.basis.unknowns()];
-        let mut rest = vec![0.0; self.values.len()];
-        for index in 0..run.angles.len() {
-            self.basis.row(run.angles[index], run.times[index], &mut row);
-            for ((rest, values), readings) in rest.iter_mut().zip(&self.values).zip(&run.readings) {
-                *rest = readings[index] - row.iter().zip(values).map(|(row, value)| row * value).sum::<f64>();
+        for (index, (angle, time)) in stretch.angles.iter().zip(stretch.times).enumerate() {
+            self.basis.row(*angle, *time, &mut row);
+            for ((rows, readings), first) in self.sensors.iter_mut().zip(stretch.readings).zip(&self.run.readings) {
+                rows.push(&row, first - readings[index], 1.0);
             }
-            look(index, &rest);
+            if self.angles.len() <= 2 * self.basis.highest {
+                self.angles.insert((angle.rem_euclid(TAU) * 1e6).round() as i64 % (TAU * 1e6).round() as i64);
+            }
         }
+    }
+
+    fn solve(self) -> Result<Solved> {
+        let Self { run, basis, sensors, angles } = self;
+        let unknowns = basis.unknowns();
+        let factors: Vec<Factor> = sensors.into_iter().map(Accumulator::finish).collect();
+        let Some(factor) = factors.first() else { return Err(Error::usage("at least one sensor was expected")) };
+        // A column of rounding is none: scaled to norm 1 it would look like one.
+        let least = RANK_TOLERANCE * (run.count as f64).sqrt();
+        let zero: Vec<bool> = factor.norms().iter().map(|norm| *norm < least).collect();
+        let spectrum = factor.with_zeros(&zero).spectrum();
+        let rank = spectrum.singular_values().rank(RANK_TOLERANCE);
+        if rank < unknowns {
+            return Err(aliases(run, &basis, &spectrum, rank, angles.len()));
+        }
+        let covariance = factor.covariance_root(rank).covariance();
+        let inverse = DMatrix::from_fn(unknowns, unknowns, |row, column| covariance[row][column]);
+        let values = factors.iter().zip(&run.readings).map(|(factor, first)| {
+            let mut found = factor.step().ok_or_else(|| run.error("its harmonics cannot be told apart"))?;
+            found[0] += first;
+            Ok(found)
+        });
+        let values = values.collect::<Result<_>>()?;
+        Ok(Solved { basis, values, inverse, condition: spectrum.singular_values().condition(rank) })
     }
 }
 
 /// The error for harmonics that the angles of the readings do not tell apart.
-fn aliases(run: &Run<'_>, basis: &Basis, spectrum: &Spectrum, rank: usize) -> Error {
+fn aliases(run: &Run, basis: &Basis, spectrum: &Spectrum, rank: usize, count: usize) -> Error {
     let lost = spectrum.null_basis(rank);
     let told = lost.iter().take(3).map(|(_, direction)| {
         let names = direction.iter().enumerate().filter(|(_, value)| **value != 0.0);
@@ -190,16 +342,6 @@ fn aliases(run: &Run<'_>, basis: &Basis, spectrum: &Spectrum, rank: usize) -> Er
     });
     let told = told.collect::<Vec<_>>().join("; ");
     let more = if lost.len() > 3 { "; ..." } else { "" };
-    // A turn in parts of 1e-6 rad.
-    let part = |angle: &f64| (angle.rem_euclid(TAU) * 1e6).round() as i64 % (TAU * 1e6).round() as i64;
-    let mut places = BTreeSet::new();
-    for angle in run.angles.iter() {
-        places.insert(part(angle));
-        if places.len() > 2 * basis.highest {
-            break;
-        }
-    }
-    let count = places.len();
     let (why, help) = if count <= 2 * basis.highest {
         let most = count.saturating_sub(1) / 2;
         (

@@ -4,15 +4,20 @@
 //! motion of the spindle, `estimate: spindle-warm-up` fits the drift to temperatures, `validate: spindle` makes figures of them in
 //! the manner of ISO 230-7.
 
+mod bins;
 mod doubts;
 mod encoder;
+mod evaluated;
 mod harmonics;
 mod motion;
 mod parameters;
 mod readings;
+mod rests;
 mod reversal;
+mod run;
 mod sensors;
 mod speed;
+mod stretches;
 mod validate;
 mod warm_up;
 

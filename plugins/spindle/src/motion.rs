@@ -3,19 +3,21 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::{
-    Calibration, ColumnHeader, Context, Dataset, Error, Estimate, EstimateSource, Identifiability, Problem, Result,
-    SettingsError, positive,
+    Calibration, ColumnHeader, Context, Dataset, Error, Estimate, EstimateSource, Identifiability, Passes, Problem,
+    Result, SettingsError, positive,
 };
-use abbe_standards::spindle::Sectors;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::doubts::{tell_creeping, tell_silent, tell_unlike};
+use crate::doubts::{tell_silent, tell_unlike};
 use crate::encoder::Encoder;
-use crate::harmonics::{Basis, Fitted, fit};
-use crate::parameters::{Combined, Found, Sizes, of_order};
-use crate::readings::{Columns, Expected, Run, check_columns, runs};
+use crate::evaluated::{Evaluated, Fits, evaluate};
+use crate::harmonics::Basis;
+use crate::parameters::{Combined, Found, of_order};
+use crate::readings::{Columns, Expected, check_columns};
+use crate::rests::{Left, Wanted};
+use crate::run::Run;
 use crate::sensors::{Radial, RadialSensors, between, check_radial};
 use crate::speed::{Speeds, check_speeds, plausible_rpm};
 
@@ -169,7 +171,7 @@ impl Motion {
     }
 
     /// What a run is called.
-    pub fn name(&self, run: &Run<'_>) -> String {
+    pub fn name(&self, run: &Run) -> String {
         if self.named_by == NamedBy::Label {
             return run.label.clone();
         }
@@ -180,9 +182,9 @@ impl Motion {
         format!("{}", ((run.speed / step).round() * step * 1e6).round() / 1e6)
     }
 
-    /// The fit of a run.
-    pub fn fit(&self, run: &Run<'_>) -> Result<Fitted> {
-        fit(run, usize::from(self.harmonics), self.linear_drift)
+    fn fits(&self) -> Fits {
+        let rests = Wanted { sectors: usize::from(self.sectors), between: between(&self.radial) };
+        Fits { highest: usize::from(self.harmonics), linear_drift: self.linear_drift, rests }
     }
 
     /// The parameters of a run as combinations of the raw coefficients of its sensors.
@@ -233,56 +235,38 @@ impl Motion {
     }
 
     /// Largest ranges of what is left within a sector, by the name of the direction.
-    fn asynchronous(&self, run: &Run<'_>, fitted: &Fitted, sizes: &mut Sizes) -> Result<Vec<(String, f64)>> {
-        let mut of_sensors = vec![Sectors::new(usize::from(self.sectors)); run.readings.len()];
-        let mut rotating = Sectors::new(usize::from(self.sectors));
-        let pair = between(&self.radial);
-        fitted.each_rest(run, |index, rest| {
-            let angle = run.angles[index];
-            for (sectors, rest) in of_sensors.iter_mut().zip(rest) {
-                sizes.push(*rest);
-                sectors.push(angle, *rest);
-            }
-            if let Some(between) = pair {
-                rotating.push(angle, along_rotating(rest, between, angle));
-            }
-        });
-        if let Some((sector, count)) = of_sensors[0].fewest()
+    fn asynchronous(&self, run: &Run, left: &Left) -> Result<Vec<(String, f64)>> {
+        if let Some((sector, count)) = left.sectors[0].fewest()
             && count < 2
         {
             let message =
                 format!("sector {sector} of {} has {count} readings, two at least were expected", self.sectors);
-            let help =
-                format!("choose fewer `sectors`: there are {:.0} readings a turn", run.angles.len() as f64 / run.turns);
+            let help = format!("choose fewer `sectors`: there are {:.0} readings a turn", run.count as f64 / run.turns);
             return Err(run.error(message).help(help));
         }
         let names = self.radial.keys().chain(&self.axial).cloned();
         let mut all: Vec<(String, f64)> =
-            names.zip(&of_sensors).filter_map(|(name, sectors)| Some((name, sectors.largest()?))).collect();
-        if pair.is_some() {
-            all.extend(rotating.largest().map(|largest| ("rotating".to_owned(), largest)));
+            names.zip(&left.sectors).filter_map(|(name, sectors)| Some((name, sectors.largest()?))).collect();
+        if between(&self.radial).is_some() {
+            all.extend(left.rotating.largest().map(|largest| ("rotating".to_owned(), largest)));
         }
         Ok(all)
     }
 
     /// Tells of sensors without a signal, and of an encoder that slips a little in every turn.
-    fn tell_doubts(&self, run: &Run<'_>, fitted: &Fitted) {
-        let mut squares = vec![0.0; run.readings.len()];
-        fitted.each_rest(run, |_, rest| {
-            squares.iter_mut().zip(rest).for_each(|(square, rest)| *square += rest * rest / run.angles.len() as f64);
-        });
-        for (name, readings) in self.radial.keys().chain(&self.axial).zip(&run.readings) {
+    fn tell_doubts(&self, run: &Run, left: &Left) {
+        for (name, ends) in self.radial.keys().chain(&self.axial).zip(&run.ends) {
             if let Some(uncertainty) = self.standard_uncertainty_um {
-                tell_silent(run, name, readings, uncertainty * 1e-3);
+                tell_silent(run, name, ends, uncertainty * 1e-3);
             }
         }
         if let Some(name) = self.radial.keys().next() {
-            tell_creeping(run, name, run.readings[0], squares[0].sqrt());
+            left.creeping.tell(run, name, left.squares[0].sqrt());
         }
     }
 
     /// Fails where the fundamental goes round against the spindle.
-    fn check_sense(&self, run: &Run<'_>, found: &Found, name: &str) -> Result<()> {
+    fn check_sense(&self, run: &Run, found: &Found, name: &str) -> Result<()> {
         let size = |parts: [&str; 2]| {
             let of = |part: &str| {
                 let name = format!("run[{name}].{part}");
@@ -312,12 +296,6 @@ impl Motion {
     }
 }
 
-/// What two sensors read along the direction that turns with the spindle; `between` is the angle from one to the other.
-pub fn along_rotating(readings: &[f64], between: f64, angle: f64) -> f64 {
-    let [x, y] = [readings[0], (readings[1] - readings[0] * between.cos()) / between.sin()];
-    x * angle.cos() + y * angle.sin()
-}
-
 impl Estimate for Motion {
     fn check_readings(&self, headers: &[Vec<ColumnHeader>]) -> Result<()> {
         check_columns(&self.expected(), headers)
@@ -328,24 +306,33 @@ impl Estimate for Motion {
     }
 
     fn estimate_readings(&self, name: &str, data: &[&Dataset]) -> Result<Calibration> {
-        let (mut found, mut sizes, mut names) = (Found::default(), Sizes::default(), BTreeSet::new());
+        self.estimate_readings_in_passes(name, &held(data))
+    }
+
+    fn accepts_readings_in_passes(&self) -> bool {
+        true
+    }
+
+    fn estimate_readings_in_passes(&self, name: &str, data: &[&dyn Passes]) -> Result<Calibration> {
+        let (mut found, mut names) = (Found::default(), BTreeSet::new());
         let (mut condition, mut unknowns) = (1.0_f64, 0);
         let mut asynchronous: BTreeMap<String, Vec<(String, f64)>> = BTreeMap::new();
-        for run in runs(data, &self.expected())? {
+        let (runs, sizes) = evaluate(data, &self.expected(), self.fits())?;
+        for Evaluated { run, fitted } in runs {
             let called = self.name(&run);
             if !names.insert(called.clone()) {
                 let message = format!("there is a run called `{called}` already");
                 return Err(run.error(message).help("write `named_by: label`, or estimate repeats one by one"));
             }
-            let fitted = self.fit(&run)?;
+            let (fitted, left) = fitted?;
             let combined = self.combined(&called, &fitted.basis);
             found.fixed(format!("run[{called}].speed"), run.speed, "rpm");
             found.fixed(format!("run[{called}].turns"), run.turns, "1");
             let freedom = run.whole_turns() as f64 - 1.0;
             found.add(&combined, &fitted.values.concat(), &fitted.covariance, freedom);
             self.check_sense(&run, &found, &called)?;
-            self.tell_doubts(&run, &fitted);
-            for (direction, largest) in self.asynchronous(&run, &fitted, &mut sizes)? {
+            self.tell_doubts(&run, &left);
+            for (direction, largest) in self.asynchronous(&run, &left)? {
                 found.fixed(format!("run[{called}].async.{direction}"), largest, "mm");
                 asynchronous.entry(direction).or_default().push((called.clone(), largest));
             }
@@ -366,6 +353,11 @@ impl Estimate for Motion {
     fn identify(&self, _: &Problem) -> Result<Identifiability> {
         Err(readings_alone())
     }
+}
+
+/// Data sets that are held, as those that are not.
+pub fn held<'a>(data: &[&'a Dataset]) -> Vec<&'a dyn Passes> {
+    data.iter().map(|data| *data as &dyn Passes).collect()
 }
 
 /// The error for a problem of a machine.

@@ -1,15 +1,10 @@
-//! Runs: the readings of one turning spindle at one speed.
+//! Columns: where the readings of a spindle stand in a data set.
 
-use std::borrow::Cow;
-use std::f64::consts::TAU;
-use std::ops::Range;
-
-use abbe_core::{ColumnHeader, DataRow, Dataset, Error, Quantity, Result};
+use abbe_core::{ColumnHeader, Error, Quantity, Result};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::encoder::{self, Encoder};
-use crate::sensors::check_sensor;
+use crate::encoder::Encoder;
 use crate::speed::Speeds;
 
 /// Where readings stand in their columns.
@@ -91,107 +86,4 @@ pub fn check_column(place: usize, headers: &[ColumnHeader], name: &str, quantity
     let message = format!("data set {} under `from` {message}", place + 1);
     let names = headers.iter().map(|header| header.name.as_str());
     Err(Error::usage(message).suggest(name, names).setting("from"))
-}
-
-/// The readings of a run, all of the same length.
-pub struct Run<'a> {
-    data: &'a Dataset,
-    rows: Range<usize>,
-    /// Its label, or that of its file.
-    pub label: String,
-    /// Angle of the spindle, rad, counted on.
-    pub angles: Cow<'a, [f64]>,
-    /// s
-    pub times: &'a [f64],
-    /// Readings of each sensor, mm.
-    pub readings: Vec<&'a [f64]>,
-    /// Turns, the step behind the last reading included.
-    pub turns: f64,
-    /// Mean speed, revolutions per minute, above zero.
-    pub speed: f64,
-}
-
-impl<'a> Run<'a> {
-    /// An error at one of its readings.
-    pub fn error_at(&self, index: usize, message: String) -> Error {
-        self.data.error_at(DataRow(self.rows.start + index), message)
-    }
-
-    /// An error about the run as a whole.
-    pub fn error(&self, message: impl std::fmt::Display) -> Error {
-        let file = self.data.origins.get(self.rows.start).and_then(|origin| self.data.files.get(origin.file));
-        let error = Error::data(format!("run `{}`: {message}", self.label));
-        match file {
-            Some(file) => error.in_file(file),
-            None => error,
-        }
-    }
-
-    /// Whole turns: what remains belongs to the last one.
-    pub fn whole_turns(&self) -> usize {
-        (self.turns + 1e-6).floor() as usize
-    }
-
-    /// Whether its angle grows.
-    pub fn is_forward(&self) -> bool {
-        self.angles.first().zip(self.angles.last()).is_some_and(|(first, last)| last > first)
-    }
-
-    /// The turn of a reading, from 0.
-    pub fn turn(&self, index: usize) -> usize {
-        let turned = (self.angles[index] - self.angles[0]).abs() / TAU;
-        ((turned + 1e-9).floor() as usize).min(self.whole_turns().saturating_sub(1))
-    }
-
-    fn new(data: &'a Dataset, rows: Range<usize>, label: String, expected: &Expected<'_>) -> Result<Self> {
-        let part = |name: &str| -> Result<&'a [f64]> { Ok(&data.required_numbers(name)?[rows.clone()]) };
-        let Columns { angle, time, .. } = expected.columns;
-        let readings = expected.sensors.iter().map(|sensor| part(sensor)).collect::<Result<Vec<_>>>()?;
-        let angles = expected.encoder.counted(part(angle)?);
-        let mut run =
-            Self { data, rows: rows.clone(), label, angles, times: part(time)?, readings, turns: 0.0, speed: 0.0 };
-        encoder::check(&mut run, expected.encoder)?;
-        expected.speeds.check(&run)?;
-        for (name, readings) in expected.sensors.iter().zip(&run.readings) {
-            check_sensor(&run, name, readings, expected.plausible)?;
-        }
-        Ok(run)
-    }
-}
-
-/// The runs of data sets, in their order.
-///
-/// Fails for encoders that slip, turns that are missing, readings that are clipped, stuck or in a wrong unit.
-pub fn runs<'a>(data: &[&'a Dataset], expected: &Expected<'_>) -> Result<Vec<Run<'a>>> {
-    let mut runs: Vec<Run<'a>> = Vec::new();
-    for data in data {
-        for (label, rows) in labelled(data, &expected.columns.run)? {
-            runs.push(Run::new(data, rows, label, expected)?);
-        }
-    }
-    Ok(runs)
-}
-
-/// Labels and their rows.
-fn labelled(data: &Dataset, column: &str) -> Result<Vec<(String, Range<usize>)>> {
-    let Some(labels) = data.labels(column) else {
-        let file = data.files.first().and_then(|file| file.file_stem());
-        let label = file.map_or(String::new(), |stem| stem.to_string_lossy().into_owned());
-        return Ok(vec![(label, 0..data.rows())]);
-    };
-    let mut found: Vec<(String, Range<usize>)> = Vec::new();
-    for (row, label) in labels.iter().enumerate() {
-        if let Some((last, rows)) = found.last_mut()
-            && last == label
-        {
-            rows.end = row + 1;
-            continue;
-        }
-        if found.iter().any(|(other, _)| other == label) {
-            let message = format!("the run `{label}` goes on here, behind readings of another one");
-            return Err(data.error_at(DataRow(row), message).help("readings of a run have to follow one another"));
-        }
-        found.push((label.clone(), row..row + 1));
-    }
-    Ok(found)
 }

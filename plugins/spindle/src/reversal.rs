@@ -1,7 +1,7 @@
 //! Estimator plugin `donaldson-reversal`: the form of the artefact, and the motion of the spindle without it.
 
 use abbe_core::{
-    Calibration, ColumnHeader, Combination, Context, Dataset, Error, Estimate, EstimateSource, Identifiability,
+    Calibration, ColumnHeader, Combination, Context, Dataset, Error, Estimate, EstimateSource, Identifiability, Passes,
     Problem, Result, SettingsError, Status, WeakDirection, positive,
 };
 use nalgebra::DMatrix;
@@ -10,10 +10,13 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::encoder::Encoder;
-use crate::harmonics::{Basis, Fitted, fit};
-use crate::motion::{check_highest, check_plausible, plausible, readings_alone};
-use crate::parameters::{Combined, Found, Sizes, of_order};
-use crate::readings::{Columns, Expected, Run, check_columns, runs};
+use crate::evaluated::{Evaluated, Fits, evaluate};
+use crate::harmonics::Basis;
+use crate::motion::{check_highest, check_plausible, held, plausible, readings_alone};
+use crate::parameters::{Combined, Found, of_order};
+use crate::readings::{Columns, Expected, check_columns};
+use crate::rests::{Fitted, Wanted};
+use crate::run::{Run, Step};
 use crate::sensors::{RadialSensors, check_radial};
 use crate::speed::{Speeds, check_speeds, plausible_rpm};
 
@@ -102,11 +105,17 @@ fn tell_scatter(name: &str, [first, second]: [f64; 2]) {
 /// Part of the range of readings by which copies may differ: rounding.
 const COPIED: f64 = 1e-6;
 
-/// Whether readings are others times `sign` and a constant.
-fn is_copy(one: &[f64], other: &[f64], sign: f64) -> bool {
-    let off = |index: usize| (other[index] - other[0]) - sign * (one[index] - one[0]);
-    let range = one.iter().fold(0.0_f64, |most, value| most.max((value - one[0]).abs()));
-    one.len() == other.len() && (0..one.len()).all(|index| off(index).abs() <= COPIED * range)
+/// Whether the readings of the first sensor of a run are those of another one times `sign` and a constant, at the readings that were
+/// chosen of both: all of short runs.
+fn is_copy(one: &Run, other: &Run, sign: f64) -> bool {
+    let read = |run: &Run, step: &Step| step.readings[0] - run.readings[0];
+    let range = one.steps.iter().fold(0.0_f64, |most, (_, step)| most.max(read(one, step).abs()));
+    one.count == other.count
+        && one
+            .steps
+            .iter()
+            .zip(&other.steps)
+            .all(|((_, first), (_, second))| (read(other, second) - sign * read(one, first)).abs() <= COPIED * range)
 }
 
 impl Reversal {
@@ -190,8 +199,8 @@ impl Reversal {
         ]
     }
 
-    fn check_pair(&self, runs: &[Run<'_>]) -> Result<()> {
-        let [one, other] = runs else {
+    fn check_pair(&self, runs: &[Evaluated]) -> Result<()> {
+        let [Evaluated { run: one, .. }, Evaluated { run: other, .. }] = runs else {
             let message =
                 format!("{} runs were found, and two were expected: before and after the reversal", runs.len());
             return Err(Error::data(message).setting("from"));
@@ -208,7 +217,7 @@ impl Reversal {
                 .help("a spindle moves otherwise when it turns the other way: measure both set-ups in one sense, and see that the angle has one sign in both files"));
         }
         for (sign, what) in [(1.0, ""), (-1.0, "minus ")] {
-            if is_copy(one.readings[0], other.readings[0], sign) {
+            if is_copy(one, other, sign) {
                 let message = format!(
                     "its readings are {what}those of the first set-up, but for a constant: the artefact was not reversed, or a file is \
                      there twice"
@@ -230,22 +239,32 @@ impl Estimate for Reversal {
     }
 
     fn estimate_readings(&self, name: &str, data: &[&Dataset]) -> Result<Calibration> {
-        let runs = runs(data, &self.expected())?;
-        self.check_pair(&runs)?;
-        let fits = runs.iter().map(|run| fit(run, usize::from(self.harmonics), self.linear_drift));
-        let both = fits.collect::<Result<Vec<_>>>()?;
+        self.estimate_readings_in_passes(name, &held(data))
+    }
+
+    fn accepts_readings_in_passes(&self) -> bool {
+        true
+    }
+
+    fn estimate_readings_in_passes(&self, name: &str, data: &[&dyn Passes]) -> Result<Calibration> {
+        let rests = Wanted { sectors: 1, between: None };
+        let fits = Fits { highest: usize::from(self.harmonics), linear_drift: self.linear_drift, rests };
+        let (evaluated, sizes) = evaluate(data, &self.expected(), fits)?;
+        self.check_pair(&evaluated)?;
+        let (mut runs, mut both, mut scatter) = (Vec::new(), Vec::new(), [0.0; 2]);
+        for (setup, Evaluated { run, fitted }) in evaluated.into_iter().enumerate() {
+            let (fitted, left) = fitted?;
+            scatter[setup] = left.squares[0];
+            runs.push(run);
+            both.push(fitted);
+        }
         let unknowns = both[0].basis.unknowns();
         let mut covariance = DMatrix::zeros(2 * unknowns, 2 * unknowns);
-        let (mut raw, mut sizes, mut found) = (Vec::new(), Sizes::default(), Found::default());
-        let mut scatter = [0.0; 2];
+        let (mut raw, mut found) = (Vec::new(), Found::default());
         for (setup, (run, fitted)) in runs.iter().zip(&both).enumerate() {
             let first = setup * unknowns;
             covariance.view_mut((first, first), (unknowns, unknowns)).copy_from(&fitted.covariance);
             raw.extend_from_slice(&fitted.values[0]);
-            fitted.each_rest(run, |_, rest| {
-                sizes.push(rest[0]);
-                scatter[setup] += rest[0].powi(2) / run.angles.len() as f64;
-            });
             found.fixed(format!("reversal[{}].speed", setup + 1), run.speed, "rpm");
         }
         tell_scatter(name, scatter.map(f64::sqrt));

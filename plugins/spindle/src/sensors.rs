@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{PathItem, Result, SettingsError};
-use abbe_numerics::clipped_ends;
+use abbe_core::{Error, PathItem, Result, SettingsError};
+use abbe_numerics::Ends;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::readings::Run;
+use crate::run::Run;
 
 /// A radial sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -53,10 +53,16 @@ pub fn between(radial: &RadialSensors) -> Option<f64> {
     Some((other - one).to_radians())
 }
 
-/// Fails for readings that stand still, move more or less than a spindle does, or are cut off at one end.
-pub fn check_sensor(run: &Run<'_>, name: &str, readings: &[f64], plausible: [f64; 2]) -> Result<()> {
-    let [lowest, highest] =
-        readings.iter().fold([f64::MAX, f64::MIN], |[low, high], &value| [low.min(value), high.max(value)]);
+/// What two sensors read along the direction that turns with the spindle; `between` is the angle from one to the other, `angle` the
+/// cosine and the sine of that of the spindle.
+pub fn along_rotating(readings: &[f64], between: f64, angle: [f64; 2]) -> f64 {
+    let [x, y] = [readings[0], (readings[1] - readings[0] * between.cos()) / between.sin()];
+    x * angle[0] + y * angle[1]
+}
+
+/// Fails for readings that stand still, and that move more or less than a spindle does.
+pub fn check_range(run: &Run, name: &str, ends: &Ends, plausible: [f64; 2]) -> Result<()> {
+    let [lowest, highest] = ends.range().unwrap_or_default();
     let range = highest - lowest;
     if range == 0.0 {
         let message = format!("{name} reads {} um all the time", lowest * 1e3);
@@ -71,18 +77,18 @@ pub fn check_sensor(run: &Run<'_>, name: &str, readings: &[f64], plausible: [f64
         );
         return Err(run.error(message).help("is it in the unit that its column says? else widen `plausible_um`"));
     }
-    if let Some(end) = clipped_ends(readings).first() {
-        let first = readings.iter().position(|value| *value == end.value).unwrap_or_default();
-        let message = format!(
-            "{name} reads its {} value, {:.4} um, {} times, and the next ones {} times at most: it is clipped",
-            if end.is_largest { "largest" } else { "smallest" },
-            end.value * 1e3,
-            end.count,
-            end.nearby
-        );
-        return Err(run
-            .error_at(first, message)
-            .help("set the sensor to the middle of its range, or centre the artefact"));
-    }
     Ok(())
+}
+
+/// The error for readings that are cut off at one end, and the number of the first one that is.
+pub fn clipped(name: &str, ends: &Ends) -> Option<(u64, Error)> {
+    let (end, first) = ends.clipped().into_iter().next()?;
+    let message = format!(
+        "{name} reads its {} value, {:.4} um, {} times, and the next ones {} times at most: it is clipped",
+        if end.is_largest { "largest" } else { "smallest" },
+        end.value * 1e3,
+        end.count,
+        end.nearby
+    );
+    Some((first, Error::data(message).help("set the sensor to the middle of its range, or centre the artefact")))
 }

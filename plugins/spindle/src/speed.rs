@@ -2,7 +2,7 @@
 
 use abbe_core::{Result, SettingsError, positive};
 
-use crate::readings::Run;
+use crate::run::Run;
 
 /// Speeds that a run may have.
 #[derive(Debug, Clone, Copy)]
@@ -50,7 +50,7 @@ impl Speeds<'_> {
     }
 
     /// Fails for a run with another speed, and says in which unit its time would fit.
-    pub fn check(&self, run: &Run<'_>) -> Result<()> {
+    pub fn check(&self, run: &Run) -> Result<()> {
         if self.has(run.speed) {
             return Ok(());
         }

@@ -9,14 +9,15 @@ mod total;
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    Context, Dataset, Error, Figure, Findings, Fit, Limit, PathItem, Result, SettingsError, Validate, from_settings,
+    Context, Dataset, Error, Figure, Findings, Fit, Limit, Passes, PathItem, Result, SettingsError, Validate,
+    from_settings,
 };
 use abbe_standards::spindle::{Centre, Harmonics, Range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::motion::Motion;
+use crate::motion::{Motion, held};
 use crate::reversal::Reversal;
 use crate::warm_up::WarmUp;
 use crate::{motion, reversal, warm_up};
@@ -294,6 +295,14 @@ impl Validate for Spindle {
     }
 
     fn validate(&self, fits: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
+        self.validate_in_passes(fits, &held(data))
+    }
+
+    fn accepts_data_in_passes(&self) -> bool {
+        true
+    }
+
+    fn validate_in_passes(&self, fits: &[&Fit], data: &[&dyn Passes]) -> Result<Findings> {
         let estimates = self.estimates(fits)?;
         let mut findings = Findings::default();
         judged::runs(self, &estimates, data, &mut findings)?;

@@ -1,6 +1,6 @@
 //! Figures of runs, of a reversal and of a warm-up.
 
-use abbe_core::{Calibration, Dataset, Error, Figure, Findings, Fit, Result};
+use abbe_core::{Calibration, Error, Figure, Findings, Fit, Passes, Result};
 use abbe_standards::spindle::Harmonics;
 
 use super::checked::{Checked, Form};
@@ -19,7 +19,12 @@ pub fn names(calibration: &Calibration) -> Vec<String> {
 }
 
 /// Figures of all runs, as read and with the form taken off, and their changes since the last check.
-pub fn runs(settings: &Spindle, estimates: &Estimates<'_>, data: &[&Dataset], findings: &mut Findings) -> Result<()> {
+pub fn runs(
+    settings: &Spindle,
+    estimates: &Estimates<'_>,
+    data: &[&dyn Passes],
+    findings: &mut Findings,
+) -> Result<()> {
     let form = Form::of(settings, estimates.reversal.as_ref().map(|(fit, _)| *fit));
     let mut speeds = tables::Speeds::default();
     for (fit, motion) in &estimates.motions {
@@ -28,8 +33,12 @@ pub fn runs(settings: &Spindle, estimates: &Estimates<'_>, data: &[&Dataset], fi
             let message = format!("`{}` has no run `{unknown}`; its runs are {}", fit.name, known.join(", "));
             return Err(Error::usage(message).setting("runs"));
         }
-        for run in known.iter().filter(|run| settings.is_judged(run)) {
-            let checked = Checked::new(&fit.calibration, motion, run, form.as_ref());
+        let judged = known.iter().filter(|run| settings.is_judged(run));
+        let judged: Vec<Checked> =
+            judged.map(|run| Checked::new(&fit.calibration, motion, run, form.as_ref())).collect();
+        let mut totals = total::figures(fit, motion, &judged, data, findings)?;
+        for checked in judged {
+            let run = checked.run.as_str();
             let mut own = of_run(settings, fit, motion, &checked);
             if let Some((last, of_last)) = &estimates.last {
                 changes(settings, (last, of_last), &checked, form.as_ref(), &mut own, findings);
@@ -38,7 +47,7 @@ pub fn runs(settings: &Spindle, estimates: &Estimates<'_>, data: &[&Dataset], fi
                 let read = Checked::new(&fit.calibration, motion, run, None);
                 own.extend(as_read(of_run(settings, fit, motion, &read)));
             }
-            own.extend(total::figures(fit, motion, &checked, data, findings)?);
+            own.extend(totals.remove(run).unwrap_or_default());
             tables::polar(settings, motion, &checked, findings);
             speeds.push(run, value(&fit.calibration, &format!("run[{run}].speed")), &own);
             findings.figures.extend(own);
