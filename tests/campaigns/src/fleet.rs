@@ -157,7 +157,7 @@ impl Clock {
 
 /// Seconds that processors have worked for this process, and for those that it has started and that have ended. Linux counts
 /// hundredths; other systems are not asked.
-fn processors() -> [f64; 2] {
+pub(crate) fn processors() -> [f64; 2] {
     let stat = fs::read_to_string("/proc/self/stat").unwrap_or_default();
     // The name of a program may have blanks and brackets. The numbers 14 to 17 are times.
     let after = stat.rsplit_once(") ").map_or("", |(_, after)| after);

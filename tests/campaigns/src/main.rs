@@ -5,7 +5,7 @@
 
 use std::process::ExitCode;
 
-use abbe_campaigns::{bad_inputs, compensation, fleet, fuzz, hostile, machines, signals, sizes, tango};
+use abbe_campaigns::{bad_inputs, compensation, fleet, fuzz, hostile, machines, signals, sizes, spindle, tango};
 
 fn main() -> ExitCode {
     if std::env::var_os("ABBE_CAMPAIGN_PROGRAM").is_some() {
@@ -37,9 +37,10 @@ fn main() -> ExitCode {
         }
         (Some("fleet"), Some(count), Some(seed)) => fleet::run(&program, seed, count),
         (Some("sizes"), Some(largest), Some(_)) => sizes::run(&program, largest),
+        (Some("spindle"), Some(count), Some(seed)) => spindle::run(&program, seed, count),
         _ => {
             eprintln!(
-                "usage: abbe-campaigns machines|compensation|tango|bad-inputs|signals|hostile|fleet|sizes COUNT SEED, fuzz COUNT SEED [TARGET], fuzz-seeds FOLDER, or machine CASE SEED FOLDER"
+                "usage: abbe-campaigns machines|compensation|tango|bad-inputs|signals|hostile|fleet|sizes|spindle COUNT SEED, fuzz COUNT SEED [TARGET], fuzz-seeds FOLDER, or machine CASE SEED FOLDER"
             );
             return ExitCode::from(2);
         }

@@ -38,7 +38,7 @@ fn memory(child: &Child) -> Option<u64> {
 }
 
 /// Seconds and MiB of a command.
-fn measured(program: &Path, folder: &Path, command: &str) -> (f64, u64) {
+pub(crate) fn measured(program: &Path, folder: &Path, command: &str) -> (f64, u64) {
     let start = Instant::now();
     let mut child = Command::new(program)
         .args([command, "recipe.yaml"])
