@@ -109,7 +109,7 @@ fn gross_errors_are_found_in_batches() {
 }
 
 /// A core that this process may use.
-fn core() -> String {
+pub fn core() -> String {
     let status = std::fs::read_to_string("/proc/self/status").expect("the status of this process");
     let list = status.lines().find_map(|line| line.strip_prefix("Cpus_allowed_list:")).expect("its cores");
     list.trim().split([',', '-']).next().expect("a core").to_owned()
@@ -311,7 +311,7 @@ fn rows_without_a_number_are_counted_once() {
 
 /// The largest memory of a run, KiB, and its status.
 #[cfg(target_os = "linux")]
-fn peak(at: &Path) -> (u64, Option<i32>) {
+pub fn peak(at: &Path) -> (u64, Option<i32>) {
     let mut run = crate::support::program(at, &["run", "recipe.yaml", "--out", "out"]);
     let run = run.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::null());
     let mut child = run.spawn().expect("the program starts");

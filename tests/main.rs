@@ -66,6 +66,7 @@ mod senses;
 mod simulate;
 mod sphere;
 mod spindle;
+mod spindle_in_batches;
 mod standards;
 mod support;
 mod tested;

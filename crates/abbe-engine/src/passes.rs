@@ -148,7 +148,7 @@ impl Prepared {
     }
 
     /// What a validator says of fits and of the data sets under its `from`.
-    pub(crate) fn findings_of(
+    pub(crate) fn said_of(
         &self,
         stage: &Stage,
         fits: &[&Fit],

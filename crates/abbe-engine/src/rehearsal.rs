@@ -114,7 +114,7 @@ impl Prepared {
             if !checks && self.has_passes(stage) {
                 continue;
             }
-            let said = self.findings_of(stage, &judged, data, batches).map(drop);
+            let said = self.said_of(stage, &judged, data, batches).map(drop);
             let is_known = |name: &String| {
                 self.saved.contains_key(name) || self.recipe_stage(name).is_ok_and(|of| self.is_made_at_once(of))
             };

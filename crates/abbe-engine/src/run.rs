@@ -210,7 +210,7 @@ impl Prepared {
             });
             let others = others.collect::<Result<Vec<Fit>>>()?;
             let judged: Vec<&Fit> = if others.is_empty() { fits } else { others.iter().collect() };
-            let mut findings = self.located(stage, self.findings_of(stage, &judged, data, batches))?;
+            let mut findings = self.located(stage, self.said_of(stage, &judged, data, batches))?;
             let tables = std::mem::take(&mut findings.tables);
             let files = tables.into_iter().map(|(name, text)| ExportedFile { name, content: text.into_bytes() });
             Ok((Verdict::new(&stage.name, &stage.plugin, findings), (stage.name.clone(), files.collect())))

@@ -72,7 +72,7 @@ pub(crate) struct Settings {
     /// Take means of repeated rows, after `ignore` and `keep`.
     average: Option<Average>,
     /// Read the files in batches of so many rows and never hold all of them: 20000 for more measurements than there is memory for.
-    /// Estimates that can be made so are (`gauss-newton`); what needs all rows at once is refused. Without it all rows are held.
+    /// Estimates that can be made so are (`gauss-newton`, those of spindles); what needs all rows at once is refused. Without it all rows are held.
     batch_rows: Option<NonZeroUsize>,
 }
 

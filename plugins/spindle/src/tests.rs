@@ -9,6 +9,8 @@ use crate::motion::Motion;
 use crate::reversal::Reversal;
 use crate::speed::check_speeds;
 
+mod passes;
+
 /// Numbers without a law.
 struct Random(u64);
 

@@ -14,6 +14,7 @@ mod programme;
 pub mod signals;
 pub mod sizes;
 mod source;
+pub mod spindle;
 pub mod tango;
 pub mod touches;
 

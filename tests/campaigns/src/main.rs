@@ -5,7 +5,9 @@
 
 use std::process::ExitCode;
 
-use abbe_campaigns::{bad_inputs, compensation, fleet, fuzz, hostile, machines, signals, sizes, tango, touches};
+use abbe_campaigns::{
+    bad_inputs, compensation, fleet, fuzz, hostile, machines, signals, sizes, spindle, tango, touches,
+};
 
 fn main() -> ExitCode {
     if std::env::var_os("ABBE_CAMPAIGN_PROGRAM").is_some() {
@@ -37,10 +39,11 @@ fn main() -> ExitCode {
         }
         (Some("fleet"), Some(count), Some(seed)) => fleet::run(&program, seed, count),
         (Some("sizes"), Some(largest), Some(_)) => sizes::run(&program, largest),
+        (Some("spindle"), Some(count), Some(seed)) => spindle::run(&program, seed, count),
         (Some("touches"), Some(count), Some(seed)) => touches::run(&program, seed, count),
         _ => {
             eprintln!(
-                "usage: abbe-campaigns machines|compensation|tango|bad-inputs|signals|hostile|fleet|sizes|touches COUNT SEED, fuzz COUNT SEED [TARGET], fuzz-seeds FOLDER, or machine CASE SEED FOLDER"
+                "usage: abbe-campaigns machines|compensation|tango|bad-inputs|signals|hostile|fleet|sizes|spindle|touches COUNT SEED, fuzz COUNT SEED [TARGET], fuzz-seeds FOLDER, or machine CASE SEED FOLDER"
             );
             return ExitCode::from(2);
         }
