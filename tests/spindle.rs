@@ -309,6 +309,7 @@ fn readings_in_a_file_are_refused_with_their_line() {
         (with(&|_, cells| cells[4] = (number(&cells[4]) * 1e3).to_string()), "r2 moves by"),
         (with(&|_, cells| cells[1] = number(&cells[1]).to_radians().to_string()), "its angle covers 0.56 turns"),
         (with(&|_, cells| cells.swap(3, 4)), "are r1 and r2 swapped"),
+        (with(&|_, cells| cells[4] = cells[3].clone()), "r2 has the readings of r1 in"),
         (lines[..200].join("\n") + "\n", "its angle covers 1.56 turns"),
         ([&lines[..1000], &lines[1100..]].concat().join("\n") + "\n", "readings are missing before this one"),
     ];

@@ -1,6 +1,7 @@
 //! Runs: the readings of one turning spindle at one speed, as two looks at them tell. The first one finds what is usual, the second one
 //! finds the readings that are not.
 
+use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::path::PathBuf;
 
@@ -14,6 +15,9 @@ use crate::stretches::{Stretch, each_stretch};
 
 /// Steps that are looked at to know the usual one.
 const LOOKED_AT: usize = 4096;
+
+/// Fewest readings in turn that no two sensors have in common.
+const SAME: usize = 30;
 
 /// Most sensors of a run.
 pub const SENSORS: usize = 3;
@@ -44,6 +48,8 @@ pub struct Run {
     pub readings: Vec<f64>,
     /// The ends of the readings of the sensors.
     pub ends: Vec<Ends>,
+    /// How many readings of each pair of sensors, one after the other, are the same: so far, and at most.
+    pub same: BTreeMap<[usize; 2], [usize; 2]>,
     /// Some steps, by the number of the reading that they lead to: all of a short run, else chosen at random, at the same numbers in all
     /// runs of one length.
     pub steps: Vec<(u64, Step)>,
@@ -97,6 +103,7 @@ impl Begun {
             times: [stretch.times[0]; 2],
             readings: stretch.readings.iter().map(|readings| readings[0]).collect(),
             ends: vec![Ends::default(); stretch.readings.len()],
+            same: BTreeMap::new(),
             steps: Vec::new(),
             usual: Usual::default(),
             turns: 0.0,
@@ -120,6 +127,14 @@ impl Begun {
         }
         for (ends, readings) in run.ends.iter_mut().zip(stretch.readings) {
             readings.iter().zip(stretch.first..).for_each(|(reading, number)| ends.push(number, *reading));
+        }
+        let sensors = stretch.readings.len();
+        for pair in (0..sensors).flat_map(|one| (one + 1..sensors).map(move |other| [one, other])) {
+            let [now, most] = run.same.entry(pair).or_default();
+            for (one, other) in stretch.readings[pair[0]].iter().zip(stretch.readings[pair[1]].iter()) {
+                *now = if one == other { *now + 1 } else { 0 };
+                *most = (*most).max(*now);
+            }
         }
         run.count += stretch.angles.len();
     }
@@ -218,6 +233,14 @@ impl<'a> Checks<'a> {
             check_range(self.run, name, ends, self.expected.plausible)?;
             clipped.map_or(Ok(()), |(_, error)| Err(error))?;
         }
-        Ok(())
+        self.copied()
+    }
+
+    /// Fails for a sensor with the readings of another one.
+    fn copied(&self) -> Result<()> {
+        let Some((pair, [_, most])) = self.run.same.iter().find(|(_, [_, most])| *most >= SAME) else { return Ok(()) };
+        let [one, other] = pair.map(|sensor| self.expected.sensors[sensor]);
+        let message = format!("{other} has the readings of {one} in {most} rows one after the other");
+        Err(self.run.error(message).help("is a column copied, or are both plugs at one sensor?"))
     }
 }
