@@ -22,6 +22,7 @@ use crate::prepare::Prepared;
 use crate::readings::has_readings;
 use crate::run::{Datasets, has_rows, named};
 use crate::saved::fit_without_rows;
+use crate::travel::in_travel;
 
 /// An estimator that solves nothing.
 struct Unsolved {
@@ -113,6 +114,11 @@ impl Prepared {
             // A rehearsal before a run does not read all batches only to forget what is said of them.
             if !checks && self.has_passes(stage) {
                 continue;
+            }
+            // Rows beyond the travel end a run before it begins.
+            if !self.has_passes(stage) {
+                let evidence: Vec<_> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
+                self.located(stage, in_travel(&judged, &evidence))?;
             }
             let said = self.said_of(stage, &judged, data, batches).map(drop);
             let is_known = |name: &String| {

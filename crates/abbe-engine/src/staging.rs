@@ -183,12 +183,16 @@ fn is_temporary(name: &str) -> bool {
     random.len() == RANDOM && random.chars().all(|letter| letter.is_ascii_alphanumeric())
 }
 
-/// Refuses a file that is, or lies in, something with a name of temporary folders: a later command takes it for what a killed one has left,
-/// and removes it. Results of a recipe have its name, without the ending.
+/// Refuses a file that is, or lies in, something with a name of temporary folders that nobody owns: a later command takes it for what a
+/// killed one has left, and removes it. Results of a recipe have its name, without the ending.
 pub(crate) fn refuse_temporary(file: &Path) -> Result<()> {
     let absolute = std::path::absolute(file).unwrap_or_else(|_| file.to_path_buf());
-    let names = absolute.components().map(|part| part.as_os_str()).chain(absolute.file_stem());
-    match names.map(|name| name.to_string_lossy()).find(|name| is_temporary(name)) {
+    let name_of = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
+    let is_left = |path: &&Path| name_of(path).is_some_and(|name| is_temporary(&name)) && locked(path).is_some();
+    let results = absolute.file_stem().map(|name| name.to_string_lossy().into_owned());
+    // What a command of this program has at work has a lock.
+    let found = absolute.ancestors().find(is_left).and_then(name_of);
+    match found.or(results.filter(|name| is_temporary(name) && name_of(&absolute).as_ref() != Some(name))) {
         Some(name) => {
             let message = format!(
                 "{}: `{name}` is a name of temporary folders of this program, which are removed",

@@ -32,6 +32,7 @@ const MOST: f64 = 0.5;
 const FEW: f64 = 0.2;
 
 /// Rows of a set with an axis where it is not usually, or at one place, and those among them that are told apart.
+#[derive(Clone)]
 struct Group {
     axis: String,
     /// The place, mm or degrees; none for all that are not the usual one.
@@ -139,11 +140,16 @@ fn gathered(
         return None;
     }
     let groups = groups(problem, set, rows);
-    let count = groups.len() as f64;
-    let chance = |group: &Group| drawn_by_chance(rows.len(), group.rows, all, group.told);
-    let several = groups.into_iter().filter(|group| group.told >= SEVERAL && is_wrong(group));
+    // There are many more places than axes.
+    let places = groups.iter().filter(|group| group.place.is_some()).count();
+    let tried = [groups.len() - places, places];
+    let chance = |group: &Group| {
+        let alone = drawn_by_chance(rows.len(), group.rows, all, group.told);
+        alone * tried[usize::from(group.place.is_some())] as f64
+    };
+    let several = groups.iter().filter(|group| group.told >= SEVERAL && is_wrong(group));
     let told = several.min_by(|one, other| chance(one).total_cmp(&chance(other)))?;
-    (chance(&told) * count < BY_CHANCE).then_some((told, all))
+    (chance(told) < BY_CHANCE).then(|| (told.clone(), all))
 }
 
 /// For each axis the rows that are not where it usually is, and those of each place if there are not many.
