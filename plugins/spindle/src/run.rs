@@ -233,14 +233,14 @@ impl<'a> Checks<'a> {
             check_range(self.run, name, ends, self.expected.plausible)?;
             clipped.map_or(Ok(()), |(_, error)| Err(error))?;
         }
-        self.copied()
+        not_copied(self.run, self.expected)
     }
+}
 
-    /// Fails for a sensor with the readings of another one.
-    fn copied(&self) -> Result<()> {
-        let Some((pair, [_, most])) = self.run.same.iter().find(|(_, [_, most])| *most >= SAME) else { return Ok(()) };
-        let [one, other] = pair.map(|sensor| self.expected.sensors[sensor]);
-        let message = format!("{other} has the readings of {one} in {most} rows one after the other");
-        Err(self.run.error(message).help("is a column copied, or are both plugs at one sensor?"))
-    }
+/// Fails for a sensor with the readings of another one.
+fn not_copied(run: &Run, expected: &Expected<'_>) -> Result<()> {
+    let Some((pair, [_, most])) = run.same.iter().find(|(_, [_, most])| *most >= SAME) else { return Ok(()) };
+    let [one, other] = pair.map(|sensor| expected.sensors[sensor]);
+    let message = format!("{other} has the readings of {one} in {most} rows one after the other");
+    Err(run.error(message).help("is a column copied, or are both plugs at one sensor?"))
 }
