@@ -81,7 +81,7 @@ impl GaussNewton {
         let plain = Options { robust: None, ..options };
         let (solution, told) = match (options.robust, start) {
             (None, None) => self.of_plain_parts(&rows, solve_from(&rows, &problem.start(), None, &plain)?)?,
-            (None, Some(start)) => self.from_near(&rows, &start.x, &plain)?,
+            (None, Some(start)) => self.begun_near(&rows, &start.x, &plain)?,
             (Some(robust), start) => {
                 let start = match start {
                     Some(start) => start,
@@ -114,7 +114,7 @@ impl GaussNewton {
 
     /// The same from a start that is near the solution. The pass from which the last step is expected to go tells all that is told at the
     /// solution, too. Where a step turns out longer than expected, the iteration goes on as from anywhere.
-    fn from_near(
+    fn begun_near(
         &self,
         rows: &RowsInParts<'_>,
         start: &[f64],
