@@ -3,6 +3,7 @@
 //! Sums over the readings of a run give the normal equations (`bins.rs`), which lose digits where angles hardly tell harmonics apart:
 //! there the rows are read once more, and factored.
 
+use std::cmp::Ordering;
 use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 
@@ -219,7 +220,7 @@ impl Sums {
         });
         let parts = scaled.symmetric_eigen();
         let (most, least) = (parts.eigenvalues.max(), parts.eigenvalues.min());
-        if !(least > HARDLY * most) {
+        if least.partial_cmp(&(HARDLY * most)) != Some(Ordering::Greater) {
             return None;
         }
         let by = DMatrix::from_fn(scale.len(), scale.len(), |row, column| {
@@ -238,7 +239,7 @@ impl Sums {
 /// The sum at a place of the basis.
 fn part(sums: &Harmonics, place: usize) -> f64 {
     let order = place.div_ceil(2);
-    if place > 0 && place % 2 == 0 { sums.sin[order] } else { sums.cos[order] }
+    if place > 0 && place.is_multiple_of(2) { sums.sin[order] } else { sums.cos[order] }
 }
 
 /// Eigenvalues of the scaled normal equations below this part of the largest cost too many digits: a condition of 100.
