@@ -47,7 +47,11 @@ fn results_do_not_depend_on_batches() {
         for rows in [1_000_000, 500, 61] {
             recipe(data, Some(rows)).write(at);
             let found = run(at, "batches");
-            assert_eq!((found.status, found.stdout.replace("batches", "held")), (0, held.stdout.clone()), "{data}, {rows}");
+            assert_eq!(
+                (found.status, found.stdout.replace("batches", "held")),
+                (0, held.stdout.clone()),
+                "{data}, {rows}"
+            );
             for (one, other) in results(at, "batches").iter().zip(&expected) {
                 assert!(one == other, "{data}, {rows} rows: {}", one.0.display());
             }
@@ -97,11 +101,16 @@ fn rows_are_named_where_they_stand() {
         }
         write(&at.join("slipped.csv"), &(lines.join("\n") + "\n"));
         recipe.set("run-3000", "path", json!("slipped.csv")).write(at);
-        let arguments = if command == "run" { vec!["run", "recipe.yaml", "--out", "out"] } else { vec![command, "recipe.yaml"] };
+        let arguments =
+            if command == "run" { vec!["run", "recipe.yaml", "--out", "out"] } else { vec![command, "recipe.yaml"] };
         let printed = as_typed(at, &arguments);
         assert!(printed.status != 0, "{command}, {rows:?}");
         let said = "slipped.csv:301";
-        assert!(printed.stderr.contains(said) && printed.stderr.contains("the angle of the spindle goes on by"), "{}", printed.stderr);
+        assert!(
+            printed.stderr.contains(said) && printed.stderr.contains("the angle of the spindle goes on by"),
+            "{}",
+            printed.stderr
+        );
     }
 }
 
@@ -127,7 +136,12 @@ fn rows_without_a_number_are_left_out() {
         let recipe = recipe("realistic", rows).only(&["motion"]);
         let text = read(&recipe.path("run-600", "path"));
         let lines = text.lines().enumerate().map(|(index, line)| match index {
-            201 | 700 => line.split(',').enumerate().map(|(cell, text)| if cell == 3 { "-" } else { text }).collect::<Vec<_>>().join(","),
+            201 | 700 => line
+                .split(',')
+                .enumerate()
+                .map(|(cell, text)| if cell == 3 { "-" } else { text })
+                .collect::<Vec<_>>()
+                .join(","),
             _ => line.to_owned(),
         });
         write(&at.join("marked.csv"), &(lines.collect::<Vec<_>>().join("\n") + "\n"));
