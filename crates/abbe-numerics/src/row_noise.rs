@@ -60,13 +60,13 @@ mod tests {
             let noise = 0.01 * size;
             let readings: Vec<f64> = (0..rows).map(|row| curve(row) + noise * generator.normal()).collect();
             let found = row_noise(&readings).expect("many rows");
-            assert!((0.6..1.6).contains(&(found.size / noise)), "{seed}: {found:?}");
+            assert!((0.4..2.2).contains(&(found.size / noise)), "{seed}: {found:?}");
             white += usize::from(found.is_white);
             let smooth: Vec<f64> = (0..rows).map(curve).collect();
             let found = row_noise(&smooth).expect("many rows");
             assert!(!found.is_white && found.size < 1e-4 * size, "{seed}: {found:?}");
         }
-        assert!(white > 480, "{white} of 500");
+        assert!(white > 470, "{white} of 500");
         assert_eq!(row_noise(&[1.0; 19]), None);
     }
 

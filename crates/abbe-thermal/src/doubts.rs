@@ -203,6 +203,6 @@ mod tests {
             assert_eq!(quieter(&[("x", &x), ("z", &smooth)]), None, "{seed}");
         }
         // Of few rows noise is not known well, and it may be hidden by digits.
-        assert!(found[1] > 4 * found[0], "{found:?}");
+        assert!(found[1] > 2 * found[0], "{found:?}");
     }
 }
