@@ -176,13 +176,12 @@ fn wrong_positions_of_an_axis_are_told_where_their_rows_stand_apart() {
     let words = "is the column of S right";
     assert!(!said(&Variant::of(&recipes()["first-steps"])).contains(words));
     let number = |cell: &str| cell.parse::<f64>().expect("a number");
-    let turned = |_: usize, cell: &str| match number(cell) {
-        0.0 => cell.to_owned(),
-        s => format!("{}", s + 10.0),
-    };
-    let half = |row: usize, cell: &str| format!("{}", number(cell) + if row > 200 { 90.0 } else { 0.0 });
-    let wrong: [&dyn Fn(usize, &str) -> String; 2] = [&turned, &half];
-    for (case, change) in wrong.into_iter().enumerate() {
+    for case in 0..2 {
+        let change = |row: usize, cell: &str| match (case, number(cell)) {
+            (0, 0.0) => cell.to_owned(),
+            (0, s) => format!("{}", s + 10.0),
+            (_, s) => format!("{}", s + if row > 200 { 90.0 } else { 0.0 }),
+        };
         let (folder, mut recipe) = (temporary(), Variant::of(&recipes()["first-steps"]));
         recipe.stage("touches")["path"] = json!(changed(&file, folder.path(), "S_deg", change));
         assert!(said(&recipe).contains(words), "{case}: {}", said(&recipe));
