@@ -284,7 +284,7 @@ impl<'a> Scaled<'a> {
             _ => 1.0,
         };
         let weakest = smallest[lost..lost + weak].iter().rev().chain(smallest[..lost].iter().rev());
-        let first = (rank > weak).then(|| (largest, main));
+        let first = (rank > weak).then_some((largest, main));
         let told = weak + usize::from(first.is_some());
         let dependent = self.dependent().into_iter().map(|direction| (0.0, direction));
         let all = first.into_iter().chain(weakest.cloned()).chain(dependent);
