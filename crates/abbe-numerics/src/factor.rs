@@ -373,20 +373,13 @@ impl SingularValues {
 /// Singular value decomposition of a scaled problem.
 #[derive(Debug, Clone)]
 pub struct Spectrum {
-    singular_values: SingularValues,
-    vectors: Mat<f64>,
-    right: Vec<f64>,
-    scale: Vec<f64>,
+    pub(crate) singular_values: SingularValues,
+    pub(crate) vectors: Mat<f64>,
+    pub(crate) right: Vec<f64>,
+    pub(crate) scale: Vec<f64>,
 }
 
 impl Spectrum {
-    /// Some singular values, the largest first, with their directions in scaled unknowns, of norm 1. It tells what is lost, and makes
-    /// no steps.
-    pub(crate) fn of_some(values: Vec<f64>, directions: &[Vec<f64>], scale: Vec<f64>) -> Self {
-        let vectors = Mat::from_fn(scale.len(), directions.len(), |row, k| directions[k][row]);
-        Self { right: vec![f64::NAN; values.len()], singular_values: SingularValues(values), vectors, scale }
-    }
-
     /// The singular values.
     pub fn singular_values(&self) -> &SingularValues {
         &self.singular_values

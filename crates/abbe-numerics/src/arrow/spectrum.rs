@@ -4,7 +4,7 @@ use faer::Mat;
 use faer::linalg::solvers::Svd;
 
 use super::factor::{ArrowFactor, EliminatedGroup};
-use crate::factor::Spectrum;
+use crate::factor::{SingularValues, Spectrum};
 use crate::vector::{dot, norm};
 
 /// Weak directions that are looked for beside lost ones.
@@ -289,7 +289,11 @@ impl<'a> Scaled<'a> {
         let dependent = self.dependent().into_iter().map(|direction| (0.0, direction));
         let all = first.into_iter().chain(weakest.cloned()).chain(dependent);
         let (values, directions): (Vec<f64>, Vec<Vec<f64>>) = all.unzip();
-        ArrowSpectrum { ends: Spectrum::of_some(values, &directions, self.scale), told, rank, condition }
+        let vectors = Mat::from_fn(n, directions.len(), |row, k| directions[k][row]);
+        // It tells what is lost, and makes no steps.
+        let right = vec![f64::NAN; values.len()];
+        let ends = Spectrum { singular_values: SingularValues::new(values), vectors, right, scale: self.scale };
+        ArrowSpectrum { ends, told, rank, condition }
     }
 }
 
