@@ -7,9 +7,9 @@
 
 use std::cell::RefCell;
 
-use abbe_core::{Calibration, Error, Identifiability, Owner, Problem, Result, Status};
+use abbe_core::{Calibration, Error, FitReport, Identifiability, Owner, Problem, Result, Status};
 use abbe_numerics::{
-    ArrowAccumulator, ArrowFactor, Descent, Factor, GroupSearch, Groups, Minimum, OfTwoGroups, Options, minimum,
+    ArrowAccumulator, ArrowFactor, Descent, Factor, GroupSearch, Groups, OfTwoGroups, Options, Solution, solve_plain,
 };
 
 use crate::calibration::calibration;
@@ -26,22 +26,6 @@ pub struct EliminatedRows<'a> {
     problem: &'a Problem,
     weighted: Weighted<'a>,
     search: RefCell<GroupSearch>,
-}
-
-/// What its rows tell where rank is judged.
-pub struct EliminatedJudgement {
-    /// The triangles there. Unknowns without effect have columns of zeros.
-    pub factor: ArrowFactor,
-    /// Rank, what is lost and what is weak, with names.
-    pub found: Identifiability,
-}
-
-/// An estimate whose own unknowns were eliminated.
-pub struct EliminatedEstimate {
-    /// Values and standard uncertainties of all unknowns; the covariance is that of the others.
-    pub calibration: Calibration,
-    /// How many unknowns were eliminated.
-    pub eliminated: usize,
 }
 
 impl<'a> EliminatedRows<'a> {
@@ -69,6 +53,11 @@ impl<'a> EliminatedRows<'a> {
         let rows = Self { problem, weighted, search };
         rows.look_for_groups(&rows.weighted, &problem.start())?;
         Ok(rows)
+    }
+
+    /// The problem.
+    pub fn problem(&self) -> &'a Problem {
+        self.problem
     }
 
     /// How many unknowns are eliminated.
@@ -115,20 +104,25 @@ impl<'a> EliminatedRows<'a> {
     }
 
     /// Minimises the sum of squares from `start`; see [`Options`].
-    pub fn solve(&self, start: &[f64], options: &Options) -> Result<Minimum<ArrowFactor>> {
-        minimum(self, start, options)
+    pub fn solve(&self, start: &[f64], options: &Options) -> Result<Solution<ArrowFactor>> {
+        solve_plain(self, start, options)
     }
 
-    /// Judges what the rows determine, as [`Judgement`](crate::Judgement) does.
-    pub fn judge(&self, tolerance: f64) -> Result<EliminatedJudgement> {
+    /// Judges what the rows determine, as [`Judgement`](crate::Judgement) does: rank, what is lost and what is weak, with names.
+    pub fn judge(&self, tolerance: f64) -> Result<Identifiability> {
+        let (_, factor) = self.where_judged()?;
+        Ok(identified(self.problem, &factor, tolerance))
+    }
+
+    /// The problem where rank is judged, and its triangles. Unknowns without effect have columns of zeros.
+    fn where_judged(&self) -> Result<(Problem, ArrowFactor)> {
         let nominal = at_nominal_geometry(self.problem);
         let judged = rank_point(&nominal, &nominal.start())?;
         let factor = self.arrow(&Weighted::new(&judged)?, &judged.start())?;
         let terms = norms_of_terms(&judged, None)?;
         let idle = without_effect(&nominal, &judged, (factor.norms(), &terms), None)?;
         let factor = if idle.contains(&true) { factor.with_zeros(&idle) } else { factor };
-        let found = identified(self.problem, &factor, tolerance);
-        Ok(EliminatedJudgement { factor, found })
+        Ok((judged, factor))
     }
 }
 
@@ -170,6 +164,20 @@ impl Descent for EliminatedRows<'_> {
 }
 
 impl UncertaintyEvaluation {
+    /// What the rows determine, before anything is solved, with the uncertainties of what is not eliminated that follow from what is
+    /// stated.
+    pub fn identify_eliminated(&self, rows: &EliminatedRows<'_>) -> Result<Identifiability> {
+        let (judged, factor) = rows.where_judged()?;
+        let mut found = identified(rows.problem, &factor, self.rank_tolerance);
+        if found.rank == found.unknowns {
+            let extended = rows.with_considered(&judged, factor)?;
+            let scales = AposterioriFactors::Common(1.0, f64::INFINITY);
+            let (reduced, propagation) = rows.propagated(&extended, &judged.start(), scales);
+            found.uncertainty = Some(propagation.budget(&reduced, self.coverage_probability));
+        }
+        Ok(found)
+    }
+
     /// Makes the calibration from a minimum of rows whose own unknowns are eliminated: these have values and standard uncertainties, and
     /// neither covariances nor budgets.
     ///
@@ -177,8 +185,8 @@ impl UncertaintyEvaluation {
     pub fn calibration_of_eliminated(
         &self,
         rows: &EliminatedRows<'_>,
-        solved: &Minimum<ArrowFactor>,
-    ) -> Result<EliminatedEstimate> {
+        solved: &Solution<ArrowFactor>,
+    ) -> Result<Calibration> {
         let (problem, x, count) = (rows.problem, &solved.x, rows.problem.unknowns.len());
         let judged = rank_point(problem, x)?;
         let at_contact = rows.arrow(&Weighted::new(&judged)?, x)?;
@@ -199,31 +207,19 @@ impl UncertaintyEvaluation {
             return Err(Error::usage("own unknowns cannot be eliminated where every artefact has its own factor"));
         };
         let extended = rows.with_considered(&judged.with_values(x), at_contact)?;
-        let shared: Vec<usize> = extended.shared().iter().copied().filter(|column| *column < count).collect();
-        let mut is_shared = vec![false; count];
-        shared.iter().for_each(|unknown| is_shared[*unknown] = true);
-        let reduced = {
-            let mut reduced = problem.with_values(x);
-            let mut kept = is_shared.iter().copied();
-            reduced.unknowns.retain(|_| kept.next() == Some(true));
-            reduced
-        };
-        let own = |factor: &Factor| factor.without_unknowns(|column| column >= shared.len());
-        let root = own(extended.of_shared()).covariance_root(shared.len());
-        let of_sets: Vec<Factor> = extended.of_sources().iter().map(own).collect();
-        let propagation = Propagation::of_factors(&reduced, &root, (&of_sets, extended.of_shared()), scales);
+        let (reduced, propagation) = rows.propagated(&extended, x, scales);
         self.check_redundancy(&statistics, count, &propagation)?;
         let told = Told {
             radial_rms: radial_rms(problem, &residuals, |_| true),
             equivalent_motion_errors: Vec::new(),
             variance: Vec::new(),
         };
-        let iteration = (solved.iterations, Some(solved.last_step), Some(solved.factor.gradient_cosine()));
+        let iteration = (solved.iterations, Some(solved.last_step), Some(solved.gradient_cosine));
         let fit = self.report(problem, found, &statistics, iteration, told);
         let covariance = propagation.covariance(&reduced);
-        let values: Vec<f64> = shared.iter().map(|unknown| x[*unknown]).collect();
+        let values: Vec<f64> = rows.shared(&extended).map(|unknown| x[unknown]).collect();
         let variances = extended.own_variances(scatter * scatter, &covariance);
-        let eliminated = variances.len();
+        let fit = FitReport { eliminated: variances.len(), ..fit };
         let mut calibration = calibration(&reduced, &values, covariance, Vec::new(), fit);
         let first_of_sets = problem.sets.iter().scan(0, |next, set| {
             let first = *next;
@@ -239,11 +235,32 @@ impl UncertaintyEvaluation {
             estimated.status = Status::Estimated;
         }
         calibration.uncertainty = self.explained.then(|| propagation.budget(&reduced, self.coverage_probability));
-        Ok(EliminatedEstimate { calibration, eliminated })
+        Ok(calibration)
     }
 }
 
 impl EliminatedRows<'_> {
+    /// The unknowns that are not eliminated, by triangles with columns for what is considered.
+    fn shared(&self, extended: &ArrowFactor) -> impl Iterator<Item = usize> {
+        let count = self.problem.unknowns.len();
+        extended.shared().iter().copied().filter(move |column| *column < count)
+    }
+
+    /// The problem of the unknowns that are not eliminated, and how uncertainty propagates to these.
+    fn propagated(&self, extended: &ArrowFactor, x: &[f64], scales: AposterioriFactors) -> (Problem, Propagation) {
+        let mut is_shared = vec![false; x.len()];
+        self.shared(extended).for_each(|unknown| is_shared[unknown] = true);
+        let shared = is_shared.iter().filter(|shared| **shared).count();
+        let mut reduced = self.problem.with_values(x);
+        let mut kept = is_shared.into_iter();
+        reduced.unknowns.retain(|_| kept.next() == Some(true));
+        let own = |factor: &Factor| factor.without_unknowns(|column| column >= shared);
+        let root = own(extended.of_shared()).covariance_root(shared);
+        let of_sets: Vec<Factor> = extended.of_sources().iter().map(own).collect();
+        let propagation = Propagation::of_factors(&reduced, &root, (&of_sets, extended.of_shared()), scales);
+        (reduced, propagation)
+    }
+
     /// The triangles of a problem with columns for what is considered after those of the unknowns.
     fn with_considered(&self, problem: &Problem, without: ArrowFactor) -> Result<ArrowFactor> {
         let considered = &problem.considered.unknowns;

@@ -88,7 +88,7 @@ pub use channels::dead_channels;
 pub use compared::explaining_machine;
 pub use contact::{Variation, at_contact, is_judged_as_recorded, rank_point};
 pub use copies::{copied_runs, copies, repeated};
-pub use eliminated::{EliminatedEstimate, EliminatedJudgement, EliminatedRows};
+pub use eliminated::EliminatedRows;
 pub use equivalent_motion_errors::equivalent_motion_errors;
 pub use gathered::gathered_outliers;
 pub use inverse_kinematics::InverseKinematics;

@@ -289,6 +289,7 @@ impl UncertaintyEvaluation {
             selection_by_prediction: None,
             ordinary_covariance: None,
             implausible: Vec::new(),
+            eliminated: 0,
             equivalent_motion_errors: told.equivalent_motion_errors,
             variance: told.variance,
             agreement: None,

@@ -10,7 +10,7 @@ use abbe_balls as _;
 use abbe_core::{
     Build, Calibration, Context, Estimate, Kind, KinematicModel, ObservationSet, Plugin, Problem, Registry,
 };
-use abbe_estimation::{EliminatedEstimate, EliminatedRows, UncertaintyEvaluation};
+use abbe_estimation::{EliminatedRows, UncertaintyEvaluation};
 use abbe_facets as _;
 use abbe_gauss_newton as _;
 use abbe_length as _;
@@ -53,10 +53,10 @@ fn problem(folder: &Path, machine: &Value, artefacts: &[(&str, &str, Value, &str
     Problem::new("fit", "serial-chain", model, sets, &patterns).unwrap()
 }
 
-fn estimated(problem: &Problem) -> EliminatedEstimate {
+fn estimated(problem: &Problem) -> Calibration {
     let rows = EliminatedRows::new(problem).unwrap();
     let judged = rows.judge(EVALUATION.rank_tolerance).unwrap();
-    assert_eq!(judged.found.rank, problem.unknowns.len());
+    assert_eq!(judged.rank, problem.unknowns.len());
     let solved = rows.solve(&problem.start(), &Options::USUAL).unwrap();
     assert_eq!(solved.end, End::Converged);
     EVALUATION.calibration_of_eliminated(&rows, &solved).unwrap()
@@ -70,9 +70,9 @@ fn gauss_newton() -> Box<dyn Estimate> {
 }
 
 /// Compares with one triangle of all unknowns: values, uncertainties, the covariance that is there, and the report.
-fn agrees(found: &EliminatedEstimate, dense: &Calibration, eliminated: usize) {
-    assert_eq!(found.eliminated, eliminated);
-    let found = &found.calibration;
+fn agrees(found: &Calibration, dense: &Calibration, eliminated: usize) {
+    assert_eq!(found.fit.eliminated, eliminated);
+    assert_eq!(Calibration::from_json(&found.to_json().unwrap()).unwrap(), *found);
     let all = |of: &Calibration| of.parameters.iter().chain(&of.artefacts).cloned().collect::<Vec<_>>();
     assert_eq!(all(found).len(), all(dense).len());
     for (found, expected) in all(found).iter().zip(&all(dense)) {
@@ -152,7 +152,7 @@ fn facets_of_a_five_axis_machine_with_a_bar() {
 fn what_is_lost_has_the_same_name() {
     let problem = tango(false);
     let dense = gauss_newton().identify(&problem).unwrap();
-    let found = EliminatedRows::new(&problem).unwrap().judge(EVALUATION.rank_tolerance).unwrap().found;
+    let found = EliminatedRows::new(&problem).unwrap().judge(EVALUATION.rank_tolerance).unwrap();
     assert_eq!((found.rank, found.unknowns), (dense.rank, dense.unknowns));
     assert!((found.condition / dense.condition - 1.0).abs() < 1e-3, "{} {}", found.condition, dense.condition);
     let [one] = found.null_space.as_slice() else { panic!("one direction: {:?}", found.null_space) };
@@ -216,8 +216,8 @@ fn balls_whose_three_unknowns_go_together() {
 fn ten_thousand_own_unknowns_need_no_triangle_of_all() {
     // One triangle of all would have 0.8 GB.
     let problem = balls(3_400);
-    let EliminatedEstimate { calibration, eliminated } = estimated(&problem);
-    assert_eq!((eliminated, calibration.covariance.order.len()), (10_200, 2));
+    let calibration = estimated(&problem);
+    assert_eq!((calibration.fit.eliminated, calibration.covariance.order.len()), (10_200, 2));
     let scale = calibration.get("EXX[1]").unwrap();
     assert!((scale.value - 2e-4).abs() < 5.0 * scale.standard_uncertainty, "{scale:?}");
     let smallest = calibration.artefacts.iter().map(|own| own.standard_uncertainty).fold(f64::INFINITY, f64::min);

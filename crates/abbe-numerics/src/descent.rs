@@ -2,7 +2,7 @@
 
 use crate::arrow::ArrowFactor;
 use crate::factor::Factor;
-use crate::gauss_newton::{LeastSquares, Minimum, Options, minimise};
+use crate::gauss_newton::{LeastSquares, Options, Solution, minimise};
 
 /// A factor of rows `[J | r]`, as far as steps need it.
 pub trait Steps {
@@ -14,43 +14,39 @@ pub trait Steps {
     fn step(&self) -> Option<Vec<f64>>;
     /// Norm of `J x`.
     fn row_norm(&self, x: &[f64]) -> f64;
+    /// Largest cosine of the angle between r and a column of J.
+    fn gradient_cosine(&self) -> f64;
 }
 
-impl Steps for Factor {
-    fn norms(&self) -> &[f64] {
-        self.norms()
-    }
+/// Both forms have methods of these names.
+macro_rules! steps {
+    ($form:ty) => {
+        impl Steps for $form {
+            fn norms(&self) -> &[f64] {
+                self.norms()
+            }
 
-    fn cost(&self) -> f64 {
-        self.cost()
-    }
+            fn cost(&self) -> f64 {
+                self.cost()
+            }
 
-    fn step(&self) -> Option<Vec<f64>> {
-        self.step()
-    }
+            fn step(&self) -> Option<Vec<f64>> {
+                self.step()
+            }
 
-    fn row_norm(&self, x: &[f64]) -> f64 {
-        self.row_norm(x)
-    }
+            fn row_norm(&self, x: &[f64]) -> f64 {
+                self.row_norm(x)
+            }
+
+            fn gradient_cosine(&self) -> f64 {
+                self.gradient_cosine()
+            }
+        }
+    };
 }
 
-impl Steps for ArrowFactor {
-    fn norms(&self) -> &[f64] {
-        self.norms()
-    }
-
-    fn cost(&self) -> f64 {
-        self.cost()
-    }
-
-    fn step(&self) -> Option<Vec<f64>> {
-        self.step()
-    }
-
-    fn row_norm(&self, x: &[f64]) -> f64 {
-        self.row_norm(x)
-    }
-}
+steps!(Factor);
+steps!(ArrowFactor);
 
 /// A problem that gives the factor of its rows, of any form. Every [`LeastSquares`] problem is one.
 pub trait Descent {
@@ -96,11 +92,11 @@ impl<P: LeastSquares + ?Sized> Descent for P {
 /// Minimises the sum of squares from `start` without robust weights, as [`solve`](crate::solve) does.
 ///
 /// Fails as that does.
-pub fn minimum<P: Descent + ?Sized>(
+pub fn solve_plain<P: Descent + ?Sized>(
     problem: &P,
     start: &[f64],
     options: &Options,
-) -> Result<Minimum<P::Factor>, P::Error> {
+) -> Result<Solution<P::Factor>, P::Error> {
     let factor = problem.factor_at(start, None)?;
-    minimise(problem, start.to_vec(), factor, None, options)
+    Ok(minimise(problem, start.to_vec(), factor, None, options)?.solution(None))
 }

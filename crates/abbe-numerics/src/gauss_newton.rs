@@ -129,7 +129,7 @@ pub enum End {
 
 /// The last iterate, for any kind of end.
 #[derive(Debug, Clone)]
-pub struct Solution {
+pub struct Solution<F = Factor> {
     /// The unknowns.
     pub x: Vec<f64>,
     /// Iterations done.
@@ -143,7 +143,7 @@ pub struct Solution {
     /// Weights and studentised residuals of a robust estimate.
     pub robust: Option<RobustReport>,
     /// The factor of the weighted rows at x, or one small step before it.
-    pub factor: Factor,
+    pub factor: F,
 }
 
 /// Minimises the sum of squares from `start`; see [`Options`].
@@ -182,7 +182,7 @@ const LEAST_PART: f64 = 1e-6;
 
 /// Where an iteration ended, with the factor of its rows.
 #[derive(Debug, Clone)]
-pub struct Minimum<F = Factor> {
+pub(crate) struct Minimum<F = Factor> {
     /// The unknowns.
     pub x: Vec<f64>,
     /// How it ended.
@@ -195,8 +195,8 @@ pub struct Minimum<F = Factor> {
     pub factor: F,
 }
 
-impl Minimum {
-    pub(crate) fn solution(self, robust: Option<RobustReport>) -> Solution {
+impl<F: Steps> Minimum<F> {
+    pub(crate) fn solution(self, robust: Option<RobustReport>) -> Solution<F> {
         Solution {
             x: self.x,
             iterations: self.iterations,

@@ -85,11 +85,11 @@ pub use coverage::{
     drawn_by_chance, effective_degrees_of_freedom, hotelling_quantile, hotelling_upper_tail, joint_coverage_factor,
     rectangular_coverage_factor,
 };
-pub use descent::{Descent, Steps, minimum};
+pub use descent::{Descent, Steps, solve_plain};
 pub use design::{Criterion, Design, DesignFigures, DesignProblem};
 pub use directions::{Directions, RestrictedProblem};
 pub use factor::{CandidateTerm, CovarianceRoot, Factor, Information, SingularValues, Spectrum};
-pub use gauss_newton::{End, LeastSquares, Minimum, Options, Sink, Solution, solve, solve_from};
+pub use gauss_newton::{End, LeastSquares, Options, Sink, Solution, solve, solve_from};
 pub use lower::Lower;
 pub use monte_carlo::{
     AdaptiveProcedure, Agreement, Interval, Trials, compare_with_gum, least_trials, numerical_tolerance,

@@ -13,6 +13,26 @@ use crate::fit::{Calibration, ConsideredInput, Estimated, Status};
 const ROUNDED: f64 = 1e-3;
 
 impl Calibration {
+    /// Fails for the first of these values that was estimated and whose covariance with others is not known, since it was eliminated.
+    ///
+    /// Values that are not here, or not estimated, are no error.
+    pub fn check_covariance_of<'a>(&self, names: impl IntoIterator<Item = &'a str>) -> Result<()> {
+        if self.fit.eliminated == 0 {
+            return Ok(());
+        }
+        let known: BTreeSet<&str> = self.covariance.order.iter().map(String::as_str).collect();
+        let estimated = self.artefacts.iter().filter(|own| own.status == Status::Estimated);
+        let without: BTreeSet<&str> =
+            estimated.map(|own| own.name.as_str()).filter(|name| !known.contains(name)).collect();
+        names.into_iter().find(|name| without.contains(name)).map_or(Ok(()), |name| {
+            let estimate = &self.estimate;
+            let message = format!("`{name}` has a standard uncertainty in `{estimate}` and no covariance: it was eliminated");
+            Err(Error::data(message).help(
+                "raise `own_covariances` of that estimate, so that the covariances of its artefacts are found, too",
+            ))
+        })
+    }
+
     /// Refuses what contradicts itself: names, units, numbers, covariance, budgets.
     pub(crate) fn check(&self) -> Result<()> {
         let mut names = BTreeSet::new();
@@ -110,9 +130,14 @@ impl Calibration {
             return Err(Error::data("the covariance is none: some combination of values has a negative variance"));
         }
         let has_one = |estimated: &&Estimated| estimated.status == Status::Estimated;
-        for Estimated { name, standard_uncertainty, .. } in
-            self.parameters.iter().chain(&self.artefacts).filter(has_one)
-        {
+        let is_missing = |own: &&Estimated| has_one(own) && !variances.contains_key(own.name.as_str());
+        let (missing, eliminated) = (self.artefacts.iter().filter(is_missing).count(), self.fit.eliminated);
+        if eliminated > 0 && missing != eliminated {
+            let message = "values were eliminated, and the covariance lacks";
+            return Err(Error::data(format!("{eliminated} {message} {missing}")));
+        }
+        let artefacts = self.artefacts.iter().filter(|own| eliminated == 0 || !is_missing(own));
+        for Estimated { name, standard_uncertainty, .. } in self.parameters.iter().chain(artefacts).filter(has_one) {
             let variance = variances.get(name.as_str());
             let variance = variance.ok_or_else(|| Error::data(format!("`{name}` is not in the covariance")))?;
             if (variance.sqrt() - standard_uncertainty).abs() > ROUNDED * standard_uncertainty {

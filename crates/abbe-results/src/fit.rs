@@ -267,6 +267,10 @@ pub struct FitReport {
     /// Estimated errors that are larger than an error of a machine can be.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub implausible: Vec<ImplausibleValue>,
+    /// Number of own unknowns of artefacts that were eliminated: they have values and standard uncertainties, and neither
+    /// covariances nor budgets.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub eliminated: usize,
     /// The factors on the stated uncertainties of every artefact, where each was given its own.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub variance: Vec<VarianceFactor>,
@@ -282,6 +286,10 @@ pub struct FitReport {
     /// Degrees of freedom of parameters that were known from an earlier estimate, where they are finite.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub known_degrees_of_freedom: BTreeMap<String, f64>,
+}
+
+fn is_zero(number: &usize) -> bool {
+    *number == 0
 }
 
 impl FitReport {
@@ -313,6 +321,7 @@ impl FitReport {
             selection_by_prediction: None,
             equivalent_motion_errors: Vec::new(),
             implausible: Vec::new(),
+            eliminated: 0,
             variance: Vec::new(),
             agreement: None,
             ordinary_covariance: None,
@@ -480,5 +489,11 @@ impl Calibration {
     /// The value with this name, of the machine or of an artefact.
     pub fn get(&self, name: &str) -> Option<&Estimated> {
         self.parameters.iter().chain(&self.artefacts).find(|estimated| estimated.name == name)
+    }
+
+    /// All values by their names, for many questions.
+    pub fn by_name(&self) -> BTreeMap<&str, &Estimated> {
+        let all = self.parameters.iter().chain(&self.artefacts).rev();
+        all.map(|estimated| (estimated.name.as_str(), estimated)).collect()
     }
 }

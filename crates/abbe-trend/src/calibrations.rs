@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Calibration, ConsideredInput, Estimated, Status, matches};
+use abbe_core::{Calibration, ConsideredInput, Estimated, Result, Status, matches};
 use abbe_numerics::chi_squared_upper_tail;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
@@ -84,14 +84,18 @@ pub struct History {
 
 /// The history of the parameters that fit the patterns, from calibrations in the order of time. `baseline` has the targets: what
 /// it does not estimate or state has none.
+///
+/// Fails for values of artefacts that were eliminated: their covariances are not known.
 pub fn history(
     tests: &[Tested<'_>],
     baseline: Option<&Calibration>,
     patterns: &[String],
     rejected_below: f64,
-) -> History {
+) -> Result<History> {
     let quality: Vec<Quality> = tests.iter().map(|test| Quality::of(test, rejected_below)).collect();
     let names = names(tests, patterns);
+    let own = || names.iter().map(|(name, _)| name.as_str());
+    tests.iter().try_for_each(|test| test.calibration.check_covariance_of(own()))?;
     let shared = shared_inputs(tests, &names);
     let series = names.iter().enumerate().map(|(index, (name, unit))| Series {
         name: name.clone(),
@@ -113,7 +117,7 @@ pub fn history(
         }
         own.iter().all(|entry| entry.is_finite()).then_some(own)
     };
-    History {
+    Ok(History {
         tests: (tests.iter().zip(&quality))
             .map(|(test, quality)| Test { label: test.label.to_owned(), at: test.at, good: quality.good })
             .collect(),
@@ -122,7 +126,7 @@ pub fn history(
         identities: shared_identities(tests),
         inputs: shared.into_iter().map(|(input, _)| input).collect(),
         series,
-    }
+    })
 }
 
 /// Names and units of what is estimated in a test and fits a pattern; without patterns the parameters of the machine.

@@ -132,6 +132,7 @@ impl System {
             ordinary_covariance: None,
             equivalent_motion_errors: Vec::new(),
             implausible: Vec::new(),
+            eliminated: 0,
             variance: Vec::new(),
             agreement: None,
             statuses: BTreeMap::new(),

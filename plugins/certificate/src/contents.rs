@@ -203,6 +203,7 @@ fn values(settings: &Settings, calibration: &Calibration, certified: &[&Estimate
             format!("{freedom:.1} degrees of freedom are too few for an ellipsoid of {} parameters", certified.len());
         return Err(Error::usage(message).help("certify fewer parameters").setting("parameters"));
     }
+    calibration.check_covariance_of(certified.iter().map(|one| one.name.as_str()))?;
     let covariance = calibration.covariance.block(&certified.iter().map(|one| one.name.as_str()).collect::<Vec<_>>());
     let stated = Stated {
         units: &units,

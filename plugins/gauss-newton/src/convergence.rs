@@ -7,12 +7,12 @@ use abbe_estimation::ill_conditioned;
 use abbe_numerics::{End, Factor, Options, Solution};
 
 /// The solution if the iteration has converged.
-pub fn converged(solution: Solution, options: &Options) -> Result<Solution> {
+pub fn converged<F>(solution: Solution<F>, options: &Options) -> Result<Solution<F>> {
     if solution.end == End::Converged { Ok(solution) } else { Err(not_converged(&solution, options)) }
 }
 
 /// The error of an iteration that ended somewhere else than at a minimum.
-fn not_converged(solution: &Solution, options: &Options) -> Error {
+fn not_converged<F>(solution: &Solution<F>, options: &Options) -> Error {
     let (termination, failed) = match solution.end {
         End::Converged | End::NoProgress => {
             (Termination::NoProgress, format!("no step makes the residuals smaller{}", left_out(solution)))
@@ -80,7 +80,7 @@ pub fn ill(problem: &Problem, factor: &Factor, rank_tolerance: f64, error: Error
 }
 
 /// How many rows robust weights have left out, where that may be why the others determine too little.
-fn left_out(solution: &Solution) -> String {
+fn left_out<F>(solution: &Solution<F>) -> String {
     let weights = solution.robust.as_ref().map_or(&[][..], |report| &report.weights);
     match weights.iter().filter(|weight| **weight == 0.0).count() {
         0 => String::new(),

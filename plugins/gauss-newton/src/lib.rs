@@ -4,6 +4,7 @@
 //! anything is solved; a direction that they cannot determine is an error, unless `on_confounded` says what to do with it.
 
 mod convergence;
+mod eliminated;
 mod parts;
 mod prediction;
 mod select;
@@ -292,6 +293,9 @@ impl GaussNewton {
         if problem.unknowns.is_empty() {
             return self.as_it_is(problem, explained);
         }
+        if let Some(rows) = self.eliminating(problem)? {
+            return self.of_eliminated(&rows, explained);
+        }
         let Judged { started, judgement: judged, remarks } = self.judge(problem)?;
         if explained {
             remarks.iter().for_each(|remark| tracing::warn!("{}: {remark}", problem.name));
@@ -463,6 +467,9 @@ impl Estimate for GaussNewton {
             // What these rows determine may well be less than all.
             return Ok(problem.values_of(&self.estimate_all(problem, false)?));
         }
+        if let Some(rows) = self.eliminating(problem)? {
+            return Ok(rows.solve(&problem.start(), &self.options(1e-6, true))?.x);
+        }
         // Near the solution: what is left after this step is its square.
         let options = self.options(1e-6, true);
         Ok(self.iterate(&self.weighted(problem)?, &problem.start(), None, &options)?.x)
@@ -477,6 +484,9 @@ impl Estimate for GaussNewton {
         self.weighted(problem)?;
         if let Some(select) = &self.settings.select {
             select.candidates(problem)?;
+        }
+        if let Some(rows) = self.eliminating(problem)? {
+            return self.evaluation(true).identify_eliminated(&rows);
         }
         let Judged { started, judgement, remarks } = self.judge(problem)?;
         let mut found = self.evaluation(true).identify(started.as_ref().unwrap_or(problem), &judgement)?;

@@ -37,6 +37,11 @@ pub struct Settings {
     /// Probability that expanded uncertainties cover.
     #[serde(default = "default_probability")]
     pub coverage_probability: f64,
+    /// Number of own unknowns of artefacts up to which their covariances are found. Where there are more, they are
+    /// eliminated one artefact after another: they have values and standard uncertainties, and memory grows with their
+    /// number and not with its square.
+    #[serde(default = "default_own_covariances")]
+    pub own_covariances: Whole<0, 5_000>,
     /// Most iterations.
     #[serde(default = "default_iterations")]
     pub iterations: Whole<1, 100_000>,
@@ -58,6 +63,10 @@ fn default_tolerance() -> f64 {
     // Contact is solved to 1e-11 mm in 1e2 mm. Lost directions have singular values of about 1e-14, the weakest useful one
     // has 1e-7.
     1e-10
+}
+
+fn default_own_covariances() -> Whole<0, 5_000> {
+    Whole::new(1_000)
 }
 
 fn default_iterations() -> Whole<1, 100_000> {

@@ -78,6 +78,7 @@ impl Estimate for Propagation {
             let message = format!("`{}` does not determine all it estimates: {}", fit.name, lost.describe());
             return Err(Error::data(message).help("propagate an estimate of what the data determine").setting("of"));
         }
+        fit.calibration.check_covariance_of(fit.problem.unknowns.iter().map(|unknown| unknown.name.as_str()))?;
         let draws = Draws::new(&self.settings, fit)?;
         self.may_keep(draws.quantities())?;
         let mut found = Found {

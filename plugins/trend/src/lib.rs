@@ -216,7 +216,7 @@ impl Validate for Trend {
         }
         let tested: Vec<Tested<'_>> = tests.iter().filter_map(|fit| tested(fit)).collect();
         let baseline = others.first().map(|fit| &fit.calibration);
-        let mut found = history(&tested, baseline, &self.settings.parameters, self.settings.rejected_below);
+        let mut found = history(&tested, baseline, &self.settings.parameters, self.settings.rejected_below)?;
         if let Some(grid) = &self.settings.volumetric {
             let model = tests[0].problem.model.as_ref();
             let statuses = grid.statuses(model).map_err(|error| within(error, &["volumetric"]))?;

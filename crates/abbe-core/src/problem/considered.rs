@@ -251,7 +251,8 @@ impl Problem {
     /// start from these values; all others are considered with their covariance.
     ///
     /// Inputs of the calibration stay inputs in this problem. An input that both use is counted once, with its correlation to
-    /// the results of the calibration. Fails if both state it differently.
+    /// the results of the calibration. Fails if both state it differently, and for values of the calibration that were eliminated, whose
+    /// covariances are not known.
     pub fn with_prior(&self, calibration: &Calibration) -> Result<Self> {
         let mut problem = self.starting_from(calibration);
         let order = &calibration.covariance.order;
@@ -260,6 +261,7 @@ impl Problem {
         let chosen = |name: &str| self.unknowns.iter().any(|chosen| chosen.name == name);
         let (mut known, mut places) = (Vec::new(), Vec::new());
         let parameters = self.candidates();
+        calibration.check_covariance_of(parameters.iter().map(|unknown| unknown.name.as_str()))?;
         for unknown in parameters.into_iter().filter(|unknown| !chosen(&unknown.name)) {
             let Some(place) = calibration.covariance.index(&unknown.name) else { continue };
             let identity = identity(&unknown.name);

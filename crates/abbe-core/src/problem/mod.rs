@@ -193,16 +193,15 @@ impl Problem {
     /// The same problem with the values of a calibration as start values, and as fixed values of parameters that are not
     /// estimated.
     pub fn starting_from(&self, calibration: &Calibration) -> Self {
-        let mut problem = self.clone();
+        let (mut problem, known) = (self.clone(), calibration.by_name());
         for (value, parameter) in problem.machine_values.iter_mut().zip(&problem.model.info().parameters) {
-            if let Some(known) = calibration.parameters.iter().find(|known| known.name == parameter.name) {
+            if let Some(known) = known.get(parameter.name.as_str()) {
                 *value = known.value;
             }
         }
         for set in &mut problem.sets {
             for (value, parameter) in set.own.iter_mut().zip(&set.observations.info().unknowns) {
-                let name = format!("{}.{}", set.name, parameter.name);
-                if let Some(known) = calibration.artefacts.iter().find(|known| known.name == name) {
+                if let Some(known) = known.get(format!("{}.{}", set.name, parameter.name).as_str()) {
                     *value = known.value;
                 }
             }
@@ -262,11 +261,9 @@ impl Problem {
 
     /// The estimated values of a calibration in the order of this problem's unknowns; start values where it has none.
     pub fn values_of(&self, calibration: &Calibration) -> Vec<f64> {
-        let start = self.start();
-        let unknowns = self.unknowns.iter().zip(start);
-        unknowns
-            .map(|(unknown, start)| calibration.get(&unknown.name).map_or(start, |estimated| estimated.value))
-            .collect()
+        let known = calibration.by_name();
+        let unknowns = self.unknowns.iter().zip(self.start());
+        unknowns.map(|(unknown, start)| known.get(unknown.name.as_str()).map_or(start, |known| known.value)).collect()
     }
 }
 

@@ -146,7 +146,7 @@ impl Question {
             .map(|stored| Tested { label: &stored.label, at: stored.at, calibration: &stored.calibration })
             .collect();
         let baseline = self.baseline(all)?;
-        let mut known = history(&tested, baseline, &[], 1e-4);
+        let mut known = history(&tested, baseline, &[], 1e-4)?;
         if let Some(points) = self.volumetric {
             volumetric(&mut known, points, &tested, baseline, &registry()?)?;
         }
