@@ -216,6 +216,22 @@ pub trait Estimate: Send + Sync {
         self.estimate(problem).map(|calibration| problem.values_of(&calibration))
     }
 
+    /// The same as [`values`](Self::values) of a problem whose rows lie in `parts`. Default: as [`estimate_parts`](Self::estimate_parts).
+    fn values_of_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Vec<f64>> {
+        self.estimate_parts(problem, parts).map(|calibration| problem.values_of(&calibration))
+    }
+
+    /// Fails if it cannot analyse an estimate whose rows are read in batches, by [`analyse_parts`](Self::analyse_parts). Default: it
+    /// needs all rows at once.
+    fn accepts_analysis_of_parts(&self) -> Result<()> {
+        Err(Error::usage("this analysis needs all rows of the estimate at once").setting("of"))
+    }
+
+    /// As [`analyse`](Self::analyse), of an estimate whose rows lie in `parts`; its problem has no rows.
+    fn analyse_parts(&self, _fit: &Fit, _parts: &dyn Parts) -> Result<Calibration> {
+        self.accepts_analysis_of_parts().and(Err(Error::usage("this estimator analyses no rows in parts")))
+    }
+
     /// Analyses an earlier estimate, which the recipe names under `of`.
     fn analyse(&self, _fit: &Fit) -> Result<Calibration> {
         Err(Error::usage("this estimator makes its own estimate; it takes no other one by `of`").setting("of"))
@@ -240,8 +256,8 @@ pub trait Estimate: Send + Sync {
     }
 }
 
-/// A question to some of the rows of a problem.
-pub type QuestionToRows<'a> = dyn Fn(&Problem) -> Result<PartEvidence> + Sync + 'a;
+/// A question to some of the rows of a problem, with their number in the order of the rows.
+pub type QuestionToRows<'a> = dyn Fn(usize, &Problem) -> Result<PartEvidence> + Sync + 'a;
 
 /// The rows of a problem, in parts that are read again each time that something is asked of them.
 pub trait Parts {
@@ -260,6 +276,15 @@ pub trait Parts {
     /// Rows that are chosen at random of all, some ten thousand, as a problem of their own. Default: none, as for [`ask`](Self::ask).
     fn sample(&self) -> Result<Option<Problem>> {
         Ok(None)
+    }
+}
+
+impl dyn Parts + '_ {
+    /// Shows all rows, in problems each of which has some of them and their unknowns, with the number of each in the order of the rows.
+    /// Several threads may show at the same time, in any order. Fails where other processes read the rows.
+    pub fn show(&self, look: &(dyn Fn(usize, &Problem) -> Result<()> + Sync)) -> Result<()> {
+        let seen = self.ask(&|number, problem| look(number, problem).map(|()| PartEvidence::default()))?;
+        seen.map(drop).ok_or_else(|| Error::usage("these rows cannot be read again: other processes have them"))
     }
 }
 
@@ -312,6 +337,17 @@ pub trait Validate: Send + Sync {
     /// it gets other observations.
     fn needs_rows(&self) -> bool {
         false
+    }
+
+    /// Whether it can judge an estimate whose rows are read in batches, by [`validate_parts`](Self::validate_parts). Default: it needs
+    /// all rows at once.
+    fn accepts_rows_in_parts(&self) -> bool {
+        false
+    }
+
+    /// As [`validate`](Self::validate), of estimates some of which have their rows in parts; the problems of these have no rows.
+    fn validate_parts(&self, _fits: &[(&Fit, Option<&dyn Parts>)], _data: &[&Dataset]) -> Result<Findings> {
+        Err(Error::usage("this validator needs all rows of an estimate at once").setting("of"))
     }
 
     /// Whether it can judge an estimate of readings that are no geometry, which has no machine.

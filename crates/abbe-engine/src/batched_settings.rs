@@ -66,7 +66,10 @@ impl Prepared {
         let Some(ingest) = self.batched_of(own)?.into_iter().next().filter(|_| own.name != stage.name) else {
             return Ok(());
         };
-        Err(needs_all(stage, &ingest).setting("of"))
+        let refused = |why: Error| Error { setting: why.setting, ..needs_all(stage, &ingest) };
+        self.estimators
+            .get(&stage.name)
+            .map_or(Ok(()), |estimator| estimator.accepts_analysis_of_parts().map_err(refused))
     }
 }
 

@@ -15,7 +15,7 @@ use abbe_estimation::{joined_evidence, part_evidence};
 use abbe_recipe::Stage;
 
 use crate::in_order::in_order;
-use crate::parts::{Part, Rows, values_at};
+use crate::parts::{Part, Rows};
 use crate::passes::{Seen, no_rows, tell_left_out};
 use crate::plausibility::check_uncertainties;
 use crate::prepare::Prepared;
@@ -176,7 +176,8 @@ impl<'a> InBatches<'a> {
         let problem = known.problem.watched_by(monitor.clone());
         let estimator = self.prepared.estimators[&stage.name].clone();
         tracing::info!("{}: rows in batches, {} unknowns", stage.name, problem.unknowns.len());
-        let found = estimator.estimate_parts(&problem, &AllBatches { batches: self, stage, known, monitor });
+        let found =
+            estimator.estimate_parts(&problem, &AllBatches { batches: self, stage, known, monitor, is_own: true });
         let mut calibration = self.prepared.located(stage, found)?;
         statuses::join(&mut calibration.fit.statuses, &known.part.statuses);
         self.prepared.located(stage, check_uncertainties(&calibration))?;
@@ -193,19 +194,37 @@ impl<'a> InBatches<'a> {
         known.extend(remark.map(|remark| (estimate.to_owned(), remark)));
     }
 
-    /// Estimates as they are used from then on: those of batches bring no rows.
-    pub fn without_rows(&self, fits: Vec<Fit>) -> Result<Vec<Fit>> {
-        let without = |fit: Fit| match self.estimates.get(&fit.name) {
-            Some(_) => fit_without_rows(fit.calibration, fit.problem.model.clone(), fit.estimator),
-            None => Ok(fit),
+    /// Estimates as those use them who look at no rows: those of batches bring none.
+    pub fn without_rows(&self, fits: &[&Fit]) -> Result<Vec<Fit>> {
+        let without = |fit: &&Fit| {
+            let Fit { name, problem, estimator, calibration } = *fit;
+            let (problem, estimator, calibration) = (problem.clone(), estimator.clone(), calibration.clone());
+            match self.has(name) {
+                true => fit_without_rows(calibration, problem.model.clone(), estimator),
+                false => Ok(Fit { name: name.clone(), problem, estimator, calibration }),
+            }
         };
-        fits.into_iter().map(without).collect()
+        fits.iter().map(without).collect()
+    }
+
+    /// Whether the rows of an estimate, or of the one that it analyses, are read in batches.
+    pub fn has(&self, estimate: &str) -> bool {
+        self.prepared.own_estimate(estimate).is_ok_and(|own| self.estimates.contains_key(&own.name))
+    }
+
+    /// The rows of an estimate for those who repeat it, if they are read in batches; `monitor` observes this work.
+    pub fn parts<'b>(&'b self, estimate: &str, monitor: &Monitor) -> Result<Option<Box<dyn Parts + 'b>>> {
+        let own = self.prepared.own_estimate(estimate)?;
+        let Some(known) = self.estimates.get(&own.name) else { return Ok(None) };
+        let monitor = monitor.without_events();
+        Ok(Some(Box::new(AllBatches { batches: self, stage: own, known, monitor, is_own: false })))
     }
 
     /// What the rows of an estimate determine, if they are read in batches.
     pub fn identify(&self, stage: &Stage, monitor: &Monitor) -> Result<Option<Identifiability>> {
         let Some(known) = self.estimates.get(&stage.name) else { return Ok(None) };
-        let parts = AllBatches { batches: self, stage, known, monitor: monitor.of_stage(&stage.name) };
+        let monitor = monitor.of_stage(&stage.name);
+        let parts = AllBatches { batches: self, stage, known, monitor, is_own: true };
         let found = self.prepared.estimators[&stage.name].identify_parts(&known.problem, &parts);
         self.prepared.located(stage, found).map(Some)
     }
@@ -330,6 +349,8 @@ struct AllBatches<'a> {
     stage: &'a Stage,
     known: &'a Known,
     monitor: Monitor,
+    /// Whether the estimate itself asks, and not somebody who repeats it.
+    is_own: bool,
 }
 
 impl Parts for AllBatches<'_> {
@@ -342,7 +363,7 @@ impl Parts for AllBatches<'_> {
         if let Some(told) = told {
             return Ok(told.clone());
         }
-        let found = self.ask(&|problem| part_evidence(problem, asked, &values_at(problem, at)))?;
+        let found = self.ask(&|_, problem| part_evidence(problem, asked, &problem.values_at(at)))?;
         let found = found.map(Arc::new).ok_or_else(|| Error::data("there are no rows"))?;
         match asked {
             AskedOfPart::Start => Ok(self.known.at_start.get_or_init(|| found).clone()),
@@ -352,21 +373,24 @@ impl Parts for AllBatches<'_> {
 
     fn ask(&self, question: &QuestionToRows<'_>) -> Result<Option<PartEvidence>> {
         let batched = self.batches.prepared.batched_of(self.stage)?;
-        let all: Vec<(&str, usize, bool)> = (batched.iter().enumerate())
-            .flat_map(|(index, ingest)| {
-                (0..self.batches.count(ingest)).map(move |batch| (ingest.as_str(), batch, index == 0 && batch == 0))
-            })
-            .collect();
-        let answer =
-            |(ingest, batch, with_others): &(&str, usize, bool)| self.answer(ingest, *batch, *with_others, question);
+        let batches = batched.iter().flat_map(|ingest| {
+            let all = 0..self.batches.count(ingest);
+            all.map(move |batch| (ingest.as_str(), batch))
+        });
+        let all: Vec<(usize, (&str, usize))> = batches.enumerate().collect();
+        let answer = |(number, (ingest, batch)): &(usize, (&str, usize))| {
+            question(*number, &self.problem_of(ingest, *batch, *number == 0)?)
+        };
         let join = |all: &mut PartEvidence, own: PartEvidence| {
             *all = joined_evidence(all, &own)?;
             Ok(())
         };
         let told = |done: usize| self.monitor.parts_done("batches", done, Some(all.len()));
         let found = in_order(&all, free_threads(), answer, join, told)?;
-        let sums = found.as_ref().and_then(|found| found.weighed.as_ref());
-        self.batches.keep_unlisted(&self.stage.name, sums.and_then(|sums| unlisted(&self.stage.name, sums)));
+        if self.is_own {
+            let sums = found.as_ref().and_then(|found| found.weighed.as_ref());
+            self.batches.keep_unlisted(&self.stage.name, sums.and_then(|sums| unlisted(&self.stage.name, sums)));
+        }
         Ok(found)
     }
 
@@ -377,19 +401,12 @@ impl Parts for AllBatches<'_> {
 }
 
 impl AllBatches<'_> {
-    fn answer(
-        &self,
-        ingest: &str,
-        batch: usize,
-        with_others: bool,
-        question: &QuestionToRows<'_>,
-    ) -> Result<PartEvidence> {
+    fn problem_of(&self, ingest: &str, batch: usize, with_others: bool) -> Result<Problem> {
         self.monitor.check()?;
         // Other values of the unknowns would not help.
         let (data, _) = self.batches.with_batch(ingest, batch).map_err(|error| Error { fatal: true, ..error })?;
         let model = self.known.problem.model.clone();
-        let problem = self.batches.problem_of(self.stage, ingest, with_others, model, &data, None)?;
-        question(&problem)
+        self.batches.problem_of(self.stage, ingest, with_others, model, &data, None)
     }
 }
 

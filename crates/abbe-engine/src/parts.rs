@@ -251,7 +251,7 @@ impl Prepared {
         let problem = self.part_problem(stage, machine, &observed, &data, Some(&mut taken));
         let problem = self.located(stage, problem)?;
         self.nothing_left_over(&data, &taken)?;
-        let part = Part::of(&problem, asked, &values_at(&problem, at), &inputs);
+        let part = Part::of(&problem, asked, &problem.values_at(at), &inputs);
         self.located(stage, part)
     }
 
@@ -373,10 +373,4 @@ pub(crate) enum Rows {
     All,
     /// Some of them: others are in other parts.
     Some,
-}
-
-/// The values of the unknowns of a problem, by name; those without one are at their start.
-pub(crate) fn values_at(problem: &Problem, at: &BTreeMap<String, f64>) -> Vec<f64> {
-    let values = problem.unknowns.iter().zip(problem.start());
-    values.map(|(unknown, start)| at.get(&unknown.name).copied().unwrap_or(start)).collect()
 }

@@ -8,7 +8,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::sync::{Mutex, PoisonError};
 
 use abbe_core::{
-    Batch, Batches, DataRecord, Dataset, Error, Findings, Fit, Kind, Monitor, Passes, Result, free_threads,
+    Batch, Batches, DataRecord, Dataset, Error, Findings, Fit, Kind, Monitor, Parts, Passes, Result, free_threads,
 };
 use abbe_recipe::Stage;
 
@@ -166,6 +166,24 @@ impl Prepared {
             all.iter().try_for_each(|data| data.pass(&mut |shown| self.located(stage, in_travel(fits, &[shown]))))?;
         }
         self.validators[&stage.name].validate_in_passes(fits, &all)
+    }
+}
+
+impl Prepared {
+    /// What a validator says that asks rows in batches again.
+    pub(crate) fn said_of_parts(
+        &self,
+        stage: &Stage,
+        fits: &[&Fit],
+        data: &Datasets,
+        batches: &InBatches<'_>,
+    ) -> Result<Findings> {
+        let data: Vec<&Dataset> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
+        let rows = fits.iter().map(|fit| batches.parts(&fit.name, &batches.monitor.of_stage(&stage.name)));
+        let rows = rows.collect::<Result<Vec<_>>>()?;
+        let fits: Vec<(&Fit, Option<&dyn Parts>)> =
+            fits.iter().zip(&rows).map(|(fit, rows)| (*fit, rows.as_deref())).collect();
+        self.validators[&stage.name].validate_parts(&fits, &data)
     }
 }
 

@@ -260,8 +260,9 @@ impl Prepared {
                 self.check_machines(stage, self.validators[&stage.name].accepts_readings())?;
                 for fit in stage.reference("of") {
                     let estimate = self.own_estimate(fit)?;
-                    let has_rows = has_rows(&estimate) && !self.has_batches(estimate);
-                    if others.is_empty() && !has_rows && self.validators[&stage.name].needs_rows() {
+                    let validator = &self.validators[&stage.name];
+                    let are_there = !self.has_batches(estimate) || validator.accepts_rows_in_parts();
+                    if others.is_empty() && !(has_rows(&estimate) && are_there) && validator.needs_rows() {
                         let message = format!(
                             "`{}` asks about the rows that an estimate was made of, and `{fit}` brings none",
                             stage.plugin

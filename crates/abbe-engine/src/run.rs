@@ -86,8 +86,8 @@ impl Prepared {
             // Nothing was made of measurements: an earlier run keeps its results.
             return Err(unless_changed(failure.error.clone()));
         }
-        let fits = batches.without_rows(fits)?;
         let (verdicts, mut exports) = self.verdicts(&fits, &unseen, (&data, &batches), monitor, &mut failures)?;
+        let fits = batches.without_rows(&fits.iter().collect::<Vec<_>>())?;
         let (fits, shown) = with_rows_to_show(fits, &batches, monitor)?;
         exports.extend(self.exports(&fits, monitor, &mut failures)?);
         // What needs them has been made all the same.
@@ -160,7 +160,7 @@ impl Prepared {
                         };
                         return Ok(vec![Ok(fit)]);
                     }
-                    None => self.estimate(stage, problem.as_ref(), &fits, monitor)?,
+                    None => self.estimate(stage, problem.as_ref(), (&fits, known.batches), monitor)?,
                 };
                 fit.calibration.data.clone_from(&known.evidence[&stage.name]);
                 Ok(vec![Ok(fit)])
@@ -204,13 +204,23 @@ impl Prepared {
                 .map(|fit| watched(fit, monitor.of_stage(&stage.name)))
                 .collect();
             let fits: Vec<&Fit> = watched.iter().collect();
+            let judged = self.validators[&stage.name].as_ref();
             let others = fits.iter().filter_map(|fit| {
                 let problem = unseen.get(&(stage.name.as_str(), fit.name.as_str()))?;
-                Some(self.located(stage, prediction_fit(fit, problem, self.validators[&stage.name].as_ref())))
+                Some(self.located(stage, prediction_fit(fit, problem, judged)))
             });
             let others = others.collect::<Result<Vec<Fit>>>()?;
-            let judged: Vec<&Fit> = if others.is_empty() { fits } else { others.iter().collect() };
-            let mut findings = self.located(stage, self.said_of(stage, &judged, data, batches))?;
+            let said = match others.as_slice() {
+                [] if judged.accepts_rows_in_parts() && fits.iter().any(|fit| batches.has(&fit.name)) => {
+                    self.said_of_parts(stage, &fits, data, batches)
+                }
+                [] => {
+                    let fits = batches.without_rows(&fits)?;
+                    self.said_of(stage, &fits.iter().collect::<Vec<_>>(), data, batches)
+                }
+                others => self.said_of(stage, &others.iter().collect::<Vec<_>>(), data, batches),
+            };
+            let mut findings = self.located(stage, said)?;
             let tables = std::mem::take(&mut findings.tables);
             let files = tables.into_iter().map(|(name, text)| ExportedFile { name, content: text.into_bytes() });
             Ok((Verdict::new(&stage.name, &stage.plugin, findings), (stage.name.clone(), files.collect())))
@@ -255,8 +265,14 @@ impl Prepared {
     }
 
     /// The result of an estimate stage; `fits` has all that it refers to.
-    fn estimate(&self, stage: &Stage, problem: Option<&Problem>, fits: &[Fit], monitor: &Monitor) -> Result<Fit> {
-        let Some(problem) = problem else { return self.fit_again(stage, fits, monitor) };
+    fn estimate(
+        &self,
+        stage: &Stage,
+        problem: Option<&Problem>,
+        (fits, batches): (&[Fit], &InBatches<'_>),
+        monitor: &Monitor,
+    ) -> Result<Fit> {
+        let Some(problem) = problem else { return self.fit_again(stage, (fits, batches), monitor) };
         let estimator = self.estimators[&stage.name].clone();
         let calibration = match stage.estimate_source {
             EstimateSource::Measurements | EstimateSource::Analysis | EstimateSource::Readings => {
@@ -297,11 +313,15 @@ impl Prepared {
     }
 
     /// The analysis of an earlier estimate, with its problem and its estimator.
-    fn fit_again(&self, stage: &Stage, fits: &[Fit], monitor: &Monitor) -> Result<Fit> {
+    fn fit_again(&self, stage: &Stage, (fits, batches): (&[Fit], &InBatches<'_>), monitor: &Monitor) -> Result<Fit> {
         let of = named(stage.reference("of"), fits);
         let fit = of.first().ok_or_else(|| Error::usage("the estimate under `of` is not there").stage(&stage.name))?;
-        let mut calibration =
-            self.located(stage, self.estimators[&stage.name].analyse(&watched(fit, monitor.of_stage(&stage.name))))?;
+        let (monitor, estimator) = (monitor.of_stage(&stage.name), &self.estimators[&stage.name]);
+        let analysed = match batches.parts(&fit.name, &monitor)? {
+            Some(parts) => estimator.analyse_parts(&watched(fit, monitor), parts.as_ref()),
+            None => estimator.analyse(&watched(fit, monitor)),
+        };
+        let mut calibration = self.located(stage, analysed)?;
         calibration.estimate = stage.name.clone();
         calibration.fit.statuses.clone_from(&fit.calibration.fit.statuses);
         let (problem, estimator) = (fit.problem.clone(), fit.estimator.clone());

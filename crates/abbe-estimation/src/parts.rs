@@ -5,11 +5,11 @@
 //! process holds the rows of one part, and what goes between processes has the size of the unknowns.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use abbe_core::{
-    AskedOfPart, EquationIndex, Error, PartEvidence, Parts, Problem, Quantity, ResidualSums, Result, SetIndex,
-    SizeSums, Triangle, Unknown, WeighedSums,
+    AskedOfPart, EquationIndex, Error, PartEvidence, Parts, Problem, Quantity, QuestionToRows, ResidualSums, Result,
+    SetIndex, SizeSums, Triangle, Unknown, WeighedSums,
 };
 use abbe_numerics::{Accumulator, Factor, LeastSquares, Weighing};
 
@@ -180,6 +180,63 @@ pub(crate) fn triangle(columns: &[String], factor: &Factor) -> Triangle {
     Triangle { columns: columns.to_vec(), values: values.collect(), rows: factor.rows() }
 }
 
+/// What `look` finds in all rows, joined in the order of the rows. It gets problems each of which has some of the rows and their unknowns,
+/// from several threads; few answers wait for those before them. None if there are no rows.
+///
+/// Fails with the first error of `look`, and where other processes read the rows.
+pub fn looked_at<T: Send>(
+    parts: &dyn Parts,
+    look: &(dyn Fn(&Problem) -> Result<T> + Sync),
+    join: &(dyn Fn(&mut T, T) + Sync),
+) -> Result<Option<T>> {
+    let all: Mutex<(Option<T>, BTreeMap<usize, T>, usize)> = Mutex::new((None, BTreeMap::new(), 0));
+    parts.show(&|number, problem| {
+        let found = look(problem)?;
+        let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
+        let (sum, waiting, next) = &mut *all;
+        waiting.insert(number, found);
+        while let Some(found) = waiting.remove(next) {
+            *next += 1;
+            match sum {
+                Some(sum) => join(sum, found),
+                None => *sum = Some(found),
+            }
+        }
+        Ok(())
+    })?;
+    Ok(all.into_inner().unwrap_or_else(PoisonError::into_inner).0)
+}
+
+/// Rows in parts each of which is changed before anything is asked of it: fewer rows, other readings.
+///
+/// Only parts that can be read again and again are changed ([`Parts::ask`]).
+pub struct ChangedParts<'a> {
+    parts: &'a dyn Parts,
+    change: &'a (dyn Fn(usize, &Problem) -> Result<Problem> + Sync),
+}
+
+impl<'a> ChangedParts<'a> {
+    /// The parts with a change, which gets the number of each part in the order of the rows.
+    pub fn new(parts: &'a dyn Parts, change: &'a (dyn Fn(usize, &Problem) -> Result<Problem> + Sync)) -> Self {
+        Self { parts, change }
+    }
+}
+
+impl Parts for ChangedParts<'_> {
+    fn count(&self) -> usize {
+        1
+    }
+
+    fn evidence(&self, _: usize, asked: AskedOfPart, at: &BTreeMap<String, f64>) -> Result<Arc<PartEvidence>> {
+        let question = |_: usize, problem: &Problem| part_evidence(problem, asked, &problem.values_at(at));
+        self.ask(&question)?.map(Arc::new).ok_or_else(nothing)
+    }
+
+    fn ask(&self, question: &QuestionToRows<'_>) -> Result<Option<PartEvidence>> {
+        self.parts.ask(&|number, problem| question(number, &(self.change)(number, problem)?))
+    }
+}
+
 fn residual_sums(problem: &Problem, residuals: Vec<f64>) -> Result<ResidualSums> {
     let quantities = problem.quantities();
     let of = |angles: bool| {
@@ -266,7 +323,7 @@ impl<'a> RowsInParts<'a> {
     pub fn rows_and_solution(&self, x: &[f64]) -> Result<Option<(Factor, SolutionOfParts)>> {
         let columns = &self.columns;
         let at = |unknown: &Unknown| columns.get(unknown.name.as_str()).map_or(0.0, |column| x[*column]);
-        let question = |problem: &Problem| {
+        let question = |_: usize, problem: &Problem| {
             let values: Vec<f64> = problem.unknowns.iter().map(at).collect();
             rows_and_solution(problem, &values)
         };

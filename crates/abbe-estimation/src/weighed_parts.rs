@@ -178,7 +178,7 @@ impl RowsInParts<'_> {
     pub(crate) fn weighed_solution(&self, x: &[f64], weighing: &Weighing) -> Result<PartEvidence> {
         let Weighing::Held { robust, .. } = weighing else { return Err(out_of_reach()) };
         let place = Place { names: self.columns(), x, weighing };
-        self.parts().ask(&|problem| place.solution(problem, *robust))?.ok_or_else(out_of_reach)
+        self.parts().ask(&|_, problem| place.solution(problem, *robust))?.ok_or_else(out_of_reach)
     }
 
     /// Where the search for robust weights begins: nothing is known of the scale.
@@ -200,7 +200,7 @@ impl InPasses for RowsInParts<'_> {
 
     fn pass(&self, x: &[f64], weighing: &Weighing) -> Result<RobustPass> {
         let place = Place { names: self.columns(), x, weighing };
-        let all = self.parts().ask(&|problem| place.pass(problem))?.ok_or_else(out_of_reach)?;
+        let all = self.parts().ask(&|_, problem| place.pass(problem))?.ok_or_else(out_of_reach)?;
         let sums = all.weighed.as_ref().ok_or_else(out_of_reach)?;
         Ok(RobustPass {
             factor: self.joined(x.len(), std::iter::once(all.recorded.as_ref()))?,

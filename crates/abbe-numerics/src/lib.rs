@@ -99,7 +99,7 @@ pub use passes::{HuberPoint, InPasses, RobustPass, RowWeight, Weighing, huber_po
 pub use regression::{Influence, SelectionStep, StepwiseDirection, StepwiseSelection};
 pub use robust::{Loss, Robust, RobustReport, counted_scatter_factor, scatter_factor};
 pub use row_noise::{RowNoise, row_noise};
-pub use sampling::Generator;
+pub use sampling::{Generator, mixed};
 pub use selection::{Selection, UnestimableUnknown};
 pub use significance::{f_test, two_sided_normal};
 pub use vector::{dot, norm};

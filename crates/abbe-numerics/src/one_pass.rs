@@ -3,14 +3,7 @@
 use std::collections::BTreeSet;
 
 use crate::channels::{AS_OFTEN, ClippedEnd, EQUAL, NEXT, VALUES};
-
-/// A number as good as a random one (the finaliser of SplitMix64: Steele, Lea and Flood 2014, OOPSLA). No two numbers give the same.
-fn mixed(number: u64) -> u64 {
-    let mut mixed = number.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    mixed ^ (mixed >> 31)
-}
+use crate::sampling::mixed;
 
 /// Some of many items, chosen at random by their number alone: all while there are no more than wanted, then as many as wanted. The
 /// same items are chosen of the same numbers, whatever the items are.

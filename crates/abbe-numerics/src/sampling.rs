@@ -20,6 +20,22 @@ impl Generator {
         Self(generator)
     }
 
+    /// The numbers of trial `trial` from a place far behind their beginning, which others do not reach: 2^58 places, 1,024 numbers of 32
+    /// bits apart. So what is drawn for one of many things depends neither on their order nor on who draws.
+    ///
+    /// ```
+    /// use abbe_numerics::Generator;
+    ///
+    /// let of_row = |row: u64| Generator::at(1, 7, row << 6).normal();
+    /// assert_eq!(of_row(12), of_row(12));
+    /// assert_ne!(of_row(12), of_row(13));
+    /// ```
+    pub fn at(seed: u64, trial: u64, place: u64) -> Self {
+        let mut generator = Self::new(seed, trial);
+        generator.0.set_word_pos(u128::from(place >> 6) << 10);
+        generator
+    }
+
     /// A normal number of mean 0 and variance 1.
     pub fn normal(&mut self) -> f64 {
         StandardNormal.sample(&mut self.0)
@@ -66,4 +82,12 @@ impl Generator {
         // The high half of the product. Some indices are more probable than others by less than count / 2^64.
         ((u128::from(self.0.next_u64()) * count as u128) >> 64) as usize
     }
+}
+
+/// A number as good as a random one (the finaliser of SplitMix64: Steele, Lea and Flood 2014, OOPSLA). No two numbers give the same.
+pub fn mixed(number: u64) -> u64 {
+    let mut mixed = number.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    mixed ^ (mixed >> 31)
 }

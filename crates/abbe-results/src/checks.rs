@@ -26,7 +26,8 @@ impl Calibration {
             estimated.map(|own| own.name.as_str()).filter(|name| !known.contains(name)).collect();
         names.into_iter().find(|name| without.contains(name)).map_or(Ok(()), |name| {
             let estimate = &self.estimate;
-            let message = format!("`{name}` has a standard uncertainty in `{estimate}` and no covariance: it was eliminated");
+            let message =
+                format!("`{name}` has a standard uncertainty in `{estimate}` and no covariance: it was eliminated");
             Err(Error::data(message).help(
                 "raise `own_covariances` of that estimate, so that the covariances of its artefacts are found, too",
             ))

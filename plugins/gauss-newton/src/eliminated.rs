@@ -47,7 +47,9 @@ impl GaussNewton {
                 "`{setting}` needs the covariances of all {} unknowns, and {MOST_AT_ONCE} at most have them",
                 problem.unknowns.len()
             );
-            Err(Error::usage(message).help("leave it out, so that own unknowns are eliminated, or estimate fewer").setting(setting))
+            Err(Error::usage(message)
+                .help("leave it out, so that own unknowns are eliminated, or estimate fewer")
+                .setting(setting))
         };
         if self.settings.robust.is_some() {
             return refused("robust");

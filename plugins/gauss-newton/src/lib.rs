@@ -451,6 +451,10 @@ impl Estimate for GaussNewton {
         self.of_parts(problem, parts)
     }
 
+    fn values_of_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Vec<f64>> {
+        self.values_in_parts(problem, parts)
+    }
+
     fn identify_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Identifiability> {
         self.identified_parts(problem, parts)
     }

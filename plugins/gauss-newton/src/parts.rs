@@ -24,13 +24,11 @@ impl Parts for Alone<'_> {
     }
 
     fn evidence(&self, _: usize, asked: AskedOfPart, at: &BTreeMap<String, f64>) -> Result<Arc<PartEvidence>> {
-        let values = self.0.unknowns.iter().zip(self.0.start());
-        let values: Vec<f64> = values.map(|(unknown, start)| at.get(&unknown.name).copied().unwrap_or(start)).collect();
-        part_evidence(self.0, asked, &values).map(Arc::new)
+        part_evidence(self.0, asked, &self.0.values_at(at)).map(Arc::new)
     }
 
     fn ask(&self, question: &QuestionToRows<'_>) -> Result<Option<PartEvidence>> {
-        question(self.0).map(Some)
+        question(0, self.0).map(Some)
     }
 }
 
@@ -194,6 +192,16 @@ impl GaussNewton {
             Some(_) => huber_point(&RowsInParts::new(sample, &Alone(sample)), start)?,
         };
         Ok(at.map(|at| SolvedSample { at, determines_all }))
+    }
+
+    /// The values of the unknowns of all parts, from a start that is almost right.
+    pub(crate) fn values_in_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Vec<f64>> {
+        if self.settings.robust.is_some() {
+            return Ok(problem.values_of(&self.of_parts(problem, parts)?));
+        }
+        self.check_settings_for_batches()?;
+        let options = self.options(1e-6, true);
+        Ok(self.iterate(&RowsInParts::new(problem, parts), &problem.start(), None, &options)?.x)
     }
 
     /// What the rows of all parts determine.

@@ -7,20 +7,26 @@
 //! trials.
 
 mod draws;
+mod in_parts;
+mod lobing;
+mod neglected;
+mod rows;
 mod settings;
+mod shared;
 mod solved;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use abbe_core::{
     Calibration, Context, Error, Estimate, EstimateSource, Fit, GumComparison, Identifiability, InputFile, MonteCarlo,
-    NamedCovariance, Problem, Result, Samples, SettingsError, SimulatedParameter, Whole, in_parallel,
+    NamedCovariance, Parts, Problem, Result, Samples, SettingsError, SimulatedParameter, Whole, in_parallel,
 };
 use abbe_numerics::{AdaptiveProcedure, Generator, Trials, compare_with_gum, least_trials, numerical_tolerance};
 use serde_json::{Value, json};
 
 use draws::Draws;
-use settings::Settings;
+use in_parts::DrawsOfParts;
+use settings::{RowDistribution, Settings};
 
 abbe_core::register!(
     Estimate,
@@ -74,24 +80,62 @@ impl Estimate for Propagation {
     }
 
     fn analyse(&self, fit: &Fit) -> Result<Calibration> {
+        let draws = Draws::new(&self.settings, fit)?;
+        let trial = |number: u64| {
+            let mut generator = Generator::new(self.settings.seed, number);
+            draws.trial(&mut generator, |problem| fit.estimator.values(problem))
+        };
+        let threads = self.settings.threads.map(Whole::get);
+        self.of_trials(fit, &Sampled { trial: &trial, quantities: draws.quantities(), threads }, draws.described())
+    }
+
+    fn accepts_analysis_of_parts(&self) -> Result<()> {
+        match self.settings.rows {
+            RowDistribution::Resampled => {
+                let error = Error::usage("errors that are drawn from the residuals need all rows at once");
+                Err(error.setting("rows"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn analyse_parts(&self, fit: &Fit, parts: &dyn Parts) -> Result<Calibration> {
+        self.accepts_analysis_of_parts()?;
+        let draws = DrawsOfParts::new(&self.settings, fit, parts)?;
+        let trial = |number: u64| draws.trial(number);
+        // The parts of a trial are read by all threads.
+        let sampled = Sampled { trial: &trial, quantities: draws.quantities(), threads: Some(1) };
+        self.of_trials(fit, &sampled, draws.described()?)
+    }
+}
+
+/// What a trial gives, by its number.
+struct Sampled<'a> {
+    trial: &'a (dyn Fn(u64) -> Result<Vec<f64>> + Sync),
+    quantities: usize,
+    threads: Option<usize>,
+}
+
+impl Propagation {
+    /// The calibration by all trials; `inputs` says what varies.
+    fn of_trials(&self, fit: &Fit, sampled: &Sampled<'_>, inputs: Vec<String>) -> Result<Calibration> {
         if let Some(lost) = fit.calibration.fit.null_space.first() {
             let message = format!("`{}` does not determine all it estimates: {}", fit.name, lost.describe());
             return Err(Error::data(message).help("propagate an estimate of what the data determine").setting("of"));
         }
         fit.calibration.check_covariance_of(fit.problem.unknowns.iter().map(|unknown| unknown.name.as_str()))?;
-        let draws = Draws::new(&self.settings, fit)?;
-        self.may_keep(draws.quantities())?;
+        self.may_keep(sampled.quantities)?;
         let mut found = Found {
-            trials: Trials::new(draws.quantities()),
+            trials: Trials::new(sampled.quantities),
             failed: 0,
             stable: None,
             samples: (self.settings.keep_samples || self.settings.block.is_some()).then(Vec::new),
         };
         match (&self.settings.adaptive, &self.settings.solved) {
-            (None, Some(path)) => self.read(path, draws.quantities(), &mut found)?,
+            (None, Some(path)) => self.read(path, sampled.quantities, &mut found)?,
             (None, None) => {
                 let count = self.settings.block.map_or(self.settings.trials, |block| block.count).get();
-                self.solve(&draws, fit, count, &mut found, None)?;
+                self.solve(sampled, fit, count, &mut found, None)?;
             }
             (Some(adaptive), _) => {
                 let mut stop = AdaptiveProcedure::new(
@@ -100,8 +144,8 @@ impl Estimate for Propagation {
                     adaptive.most.get(),
                 );
                 while !stop.finished() {
-                    let mut batch = Trials::new(draws.quantities());
-                    self.solve(&draws, fit, stop.batch(), &mut found, Some(&mut batch))?;
+                    let mut batch = Trials::new(sampled.quantities);
+                    self.solve(sampled, fit, stop.batch(), &mut found, Some(&mut batch))?;
                     stop.push_batch(&batch);
                 }
                 found.stable = Some(stop.stable());
@@ -111,7 +155,7 @@ impl Estimate for Propagation {
             }
         }
         let samples = found.samples.take();
-        let mut calibration = self.calibration(fit, &draws, &found);
+        let mut calibration = self.calibration(fit, inputs, &found);
         if let Some(found) = &mut calibration.monte_carlo {
             found.samples = samples.map(|values| Samples { quantities: quantities(fit), values });
         }
@@ -154,7 +198,7 @@ impl Propagation {
     /// Adds `count` trials, in the order of their numbers; ends with the first one in which the code itself fails.
     fn solve(
         &self,
-        draws: &Draws<'_>,
+        sampled: &Sampled<'_>,
         fit: &Fit,
         count: usize,
         found: &mut Found,
@@ -170,12 +214,11 @@ impl Propagation {
             let all = self.settings.adaptive.is_none().then_some(self.settings.trials.get());
             fit.problem.monitor.parts_done("trials", done, all);
             // None after a fatal error.
-            let results = in_parallel(chunk, self.settings.threads.map(Whole::get), |&number| {
+            let results = in_parallel(chunk, sampled.threads, |&number| {
                 if ended.load(Ordering::Relaxed) {
                     return None;
                 }
-                let mut generator = Generator::new(self.settings.seed, number);
-                let values = draws.trial(&mut generator, |problem| fit.estimator.values(problem));
+                let values = (sampled.trial)(number);
                 if values.as_ref().is_err_and(|error| error.fatal) {
                     ended.store(true, Ordering::Relaxed);
                 }
@@ -214,7 +257,7 @@ impl Propagation {
         }
     }
 
-    fn calibration(&self, fit: &Fit, draws: &Draws<'_>, found: &Found) -> Calibration {
+    fn calibration(&self, fit: &Fit, inputs: Vec<String>, found: &Found) -> Calibration {
         let trials = &found.trials;
         let probability = self.settings.coverage_probability;
         let (mean, covariance) = (trials.mean(), trials.covariance());
@@ -264,7 +307,7 @@ impl Propagation {
             stable: found.stable,
             failed: found.failed,
             coverage_probability: probability,
-            inputs: draws.described(),
+            inputs,
             parameters: parameters.collect(),
             samples: None,
         });

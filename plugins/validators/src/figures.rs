@@ -201,53 +201,42 @@ pub fn residual_limits<'a>(further: &[&'a str]) -> Vec<&'a str> {
     [&["max_um", "mean_um", "rms_um", "max_urad", "mean_urad", "rms_urad"], further].concat()
 }
 
-/// Residuals by label, in the order in which the labels appear first.
-#[derive(Debug, Clone, Default)]
-pub struct Groups {
-    index: BTreeMap<String, usize>,
-    residuals: Vec<(String, ResidualSample)>,
-}
-
-impl Groups {
-    /// Adds a residual, mm or rad.
-    pub fn push(&mut self, label: &str, quantity: Quantity, residual: f64) {
-        let index = match self.index.get(label) {
-            Some(&index) => index,
-            None => {
-                self.index.insert(label.to_owned(), self.residuals.len());
-                self.residuals.push((label.to_owned(), ResidualSample::default()));
-                self.residuals.len() - 1
-            }
-        };
-        self.residuals[index].1.push(quantity, residual);
-    }
-
-    /// Labels and residuals.
-    pub fn iter(&self) -> impl Iterator<Item = &(String, ResidualSample)> {
-        self.residuals.iter()
-    }
-}
-
 /// The (set, row) of the rows that a calibration lists as outliers.
 pub fn outliers(problem: &Problem, calibration: &Calibration) -> BTreeSet<(SetIndex, RowIndex)> {
-    let listed = calibration.outliers.iter();
-    let listed: BTreeSet<(&str, &str, usize)> =
-        listed.map(|outlier| (outlier.stage.as_str(), outlier.file.as_str(), outlier.row)).collect();
-    let mut found = BTreeSet::new();
-    for (index, set) in SetIndex::enumerate(&problem.sets) {
-        for &row in &set.rows {
-            if let Some((file, origin)) = problem.origin(index, row)
-                && listed.contains(&(set.name.as_str(), file.display().to_string().as_str(), origin.row))
-            {
-                found.insert((index, row));
+    ListedOutliers::new(calibration).among(problem)
+}
+
+/// The rows that a calibration lists as outliers: stage, file, row.
+pub struct ListedOutliers<'a>(BTreeSet<(&'a str, &'a str, usize)>);
+
+impl<'a> ListedOutliers<'a> {
+    /// Those of a calibration.
+    pub fn new(calibration: &'a Calibration) -> Self {
+        let listed = calibration.outliers.iter();
+        Self(listed.map(|outlier| (outlier.stage.as_str(), outlier.file.as_str(), outlier.row)).collect())
+    }
+
+    /// Those among the rows of a problem.
+    pub fn among(&self, problem: &Problem) -> BTreeSet<(SetIndex, RowIndex)> {
+        let mut found = BTreeSet::new();
+        if self.0.is_empty() {
+            return found;
+        }
+        for (index, set) in SetIndex::enumerate(&problem.sets) {
+            for &row in &set.rows {
+                if let Some((file, origin)) = problem.origin(index, row)
+                    && self.0.contains(&(set.name.as_str(), file.display().to_string().as_str(), origin.row))
+                {
+                    found.insert((index, row));
+                }
             }
         }
+        found
     }
-    found
 }
 
 /// The findings of `judge` on every fit, with the limits of the settings.
-pub fn judged(fits: &[&Fit], limits: &Limits, judge: impl Fn(&Fit, &mut Findings) -> Result<()>) -> Result<Findings> {
+pub fn judged<F>(fits: &[F], limits: &Limits, judge: impl Fn(&F, &mut Findings) -> Result<()>) -> Result<Findings> {
     let mut findings = Findings::default();
     fits.iter().try_for_each(|fit| judge(fit, &mut findings))?;
     set_limits(limits, &mut findings.figures);

@@ -3,10 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::{
-    Calibration, Error, Figure, Findings, Fit, Label, Limit, Owner, PathItem, Problem, Result, RowIndex, SetIndex,
-    SettingsError, Termination, Unknown,
+    Calibration, Error, Figure, Findings, Fit, Label, Layout, Limit, Owner, PathItem, Problem, Result, RowIndex,
+    SetIndex, SettingsError, Termination, Unknown,
 };
 use abbe_estimation::Judgement;
+use abbe_numerics::Factor;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -53,59 +54,101 @@ impl Folds {
 
     /// The folds of the rows of a set by the labels of `column`.
     pub fn split(&self, problem: &Problem, set: SetIndex, column: &str) -> Result<Vec<Fold>> {
-        let set = &problem.sets[set];
-        let layout = &set.info().layout;
-        let labels = abbe_table::labels(&layout.data, column).map_err(|error| error.setting("column"))?;
-        let mut order: Vec<&str> = Vec::new();
-        let mut rows: BTreeMap<&str, Vec<RowIndex>> = BTreeMap::new();
-        for &row in &set.rows {
-            if let Some(data_row) = layout.rows[row].data_row {
-                let of_label = rows.entry(labels[data_row].as_str()).or_default();
-                if of_label.is_empty() {
-                    order.push(&labels[data_row]);
-                }
-                of_label.push(row);
-            }
-        }
-        let of_folds: Vec<Vec<&str>> = match self {
+        let labels = LabelsOfRows::new(problem, set, column)?;
+        let fold =
+            |of_fold: Vec<String>| Fold { rows: labels.rows(&problem.sets[set].rows, &of_fold).0, labels: of_fold };
+        let mut known = LabelCounts::default();
+        problem.sets[set].rows.iter().filter_map(|row| labels.of(*row)).for_each(|label| known.add(label, 1));
+        Ok(self.labels(&known, &problem.sets[set].name, column)?.into_iter().map(fold).collect())
+    }
+
+    /// The labels of every fold, by all labels of a column in the rows of a stage.
+    pub fn labels(&self, known: &LabelCounts, stage: &str, column: &str) -> Result<Vec<Vec<String>>> {
+        let order = &known.order;
+        let of_folds: Vec<Vec<String>> = match self {
             Self::Number(number) if *number > order.len() => {
                 return Err(Error::data(format!(
-                    "{number} folds were asked for, but `{column}` has {} different labels in `{}`",
-                    order.len(),
-                    set.name
+                    "{number} folds were asked for, but `{column}` has {} different labels in `{stage}`",
+                    order.len()
                 ))
                 .setting("folds"));
             }
             Self::Number(number) => {
-                (0..*number).map(|fold| order.iter().skip(fold).step_by(*number).copied().collect()).collect()
+                (0..*number).map(|fold| order.iter().skip(fold).step_by(*number).cloned().collect()).collect()
             }
             Self::Labels(folds) => {
-                folds.iter().map(|labels| labels.iter().map(|label| label.0.as_str()).collect()).collect()
+                folds.iter().map(|labels| labels.iter().map(|label| label.0.clone()).collect()).collect()
             }
         };
-        let mut folds = Vec::new();
-        for labels in of_folds {
-            let mut held = Vec::new();
-            for label in &labels {
-                let found = rows.get(label).ok_or_else(|| {
-                    Error::data(format!("no row of `{}` has the {column} {label}", set.name))
-                        .suggest(label, order.iter().copied())
+        for labels in &of_folds {
+            let mut held = 0;
+            for label in labels {
+                held += known.rows.get(label).ok_or_else(|| {
+                    Error::data(format!("no row of `{stage}` has the {column} {label}"))
+                        .suggest(label, order.iter().map(String::as_str))
                         .setting("folds")
                 })?;
-                held.extend_from_slice(found);
             }
-            held.sort_unstable();
-            if held.len() == rows.values().map(Vec::len).sum::<usize>() {
+            if held == known.rows.values().sum::<usize>() {
                 return Err(Error::data(format!(
-                    "the fold with {column} {} holds out every row of `{}`: nothing is left to estimate from",
-                    labels.join(", "),
-                    set.name
+                    "the fold with {column} {} holds out every row of `{stage}`: nothing is left to estimate from",
+                    labels.join(", ")
                 ))
                 .setting("folds"));
             }
-            folds.push(Fold { labels: labels.into_iter().map(str::to_owned).collect(), rows: held });
         }
-        Ok(folds)
+        Ok(of_folds)
+    }
+}
+
+/// The labels of a column of the rows of a set.
+pub struct LabelsOfRows<'a> {
+    layout: &'a Layout,
+    labels: &'a [String],
+}
+
+impl<'a> LabelsOfRows<'a> {
+    /// Fails without such a column of labels.
+    pub fn new(problem: &'a Problem, set: SetIndex, column: &str) -> Result<Self> {
+        let layout = &problem.sets[set].info().layout;
+        let labels = abbe_table::labels(&layout.data, column).map_err(|error| error.setting("column"))?;
+        Ok(Self { layout, labels })
+    }
+
+    /// The rows that have one of these labels, and the others.
+    pub fn rows(&self, rows: &[RowIndex], labels: &[String]) -> (Vec<RowIndex>, Vec<RowIndex>) {
+        let labels: BTreeSet<&str> = labels.iter().map(String::as_str).collect();
+        rows.iter().partition(|row| self.of(**row).is_some_and(|own| labels.contains(own)))
+    }
+
+    /// The label of a row; none for a row that no data have.
+    pub fn of(&self, row: RowIndex) -> Option<&'a str> {
+        self.layout.rows[row].data_row.map(|data_row| self.labels[data_row].as_str())
+    }
+}
+
+/// Labels in the order in which they appear, with their numbers of rows.
+#[derive(Debug, Default)]
+pub struct LabelCounts {
+    order: Vec<String>,
+    rows: BTreeMap<String, usize>,
+}
+
+impl LabelCounts {
+    /// Adds rows with a label.
+    pub fn add(&mut self, label: &str, rows: usize) {
+        match self.rows.get_mut(label) {
+            Some(known) => *known += rows,
+            None => {
+                self.order.push(label.to_owned());
+                self.rows.insert(label.to_owned(), rows);
+            }
+        }
+    }
+
+    /// Adds later rows.
+    pub fn join(&mut self, later: &Self) {
+        later.order.iter().for_each(|label| self.add(label, later.rows[label]));
     }
 }
 
@@ -140,28 +183,45 @@ impl Fold {
         let kept = rows.filter(|row| self.rows.binary_search(row).is_err()).collect();
         let training = fit.problem.watched_by(fit.problem.monitor.without_events()).with_rows(set, kept);
         let judged = Judgement::new(&training.with_values(&training.values_of(&fit.calibration)), None)?;
-        let undetermined = training.unknowns.iter().zip(judged.factor().norms()).filter(|(_, norm)| **norm == 0.0);
-        let undetermined: Vec<Unknown> = undetermined.map(|(unknown, _)| unknown.clone()).collect();
+        let undetermined = without_effect(&training, judged.factor());
         let calibration = fit.estimator.estimate(&training.without_unknowns(|unknown| undetermined.contains(unknown)));
-        let name = format!("{} without {}", fit.name, self.labels.join(", "));
+        TrainedFit::new(fit, &self.labels, calibration, undetermined)
+    }
+}
+
+/// The unknowns of a problem on which no row depends, by the factor of the rows.
+pub fn without_effect(problem: &Problem, factor: &Factor) -> Vec<Unknown> {
+    let idle = problem.unknowns.iter().zip(factor.norms()).filter(|(_, norm)| **norm == 0.0);
+    idle.map(|(unknown, _)| unknown.clone()).collect()
+}
+
+impl TrainedFit {
+    /// The result of an estimate without rows of some labels.
+    pub fn new(
+        fit: &Fit,
+        labels: &[String],
+        calibration: Result<Calibration>,
+        undetermined: Vec<Unknown>,
+    ) -> Result<Self> {
+        let name = format!("{} without {}", fit.name, labels.join(", "));
         let calibration = calibration.map_err(|mut error| {
             error.message = format!("{name}: {}", error.message);
             error
         })?;
         let remark = not_converged(&name, &calibration);
-        Ok(TrainedFit { calibration, undetermined, remark })
+        Ok(Self { calibration, undetermined, remark })
     }
 }
 
 /// The results of `train` for every fold; a fold that fails is reported, and costs no other one.
 ///
 /// Fails if all folds do, if the estimator cannot be used any more, and where the work was asked to end.
-pub fn trained<T>(
+pub fn trained<F, T>(
     fit: &Fit,
-    folds: Vec<Fold>,
+    folds: Vec<F>,
     findings: &mut Findings,
-    mut train: impl FnMut(&Fold) -> Result<T>,
-) -> Result<Vec<(Fold, T)>> {
+    mut train: impl FnMut(&F) -> Result<T>,
+) -> Result<Vec<(F, T)>> {
     let (all, mut done, mut failures) = (folds.len(), Vec::new(), Vec::new());
     for (index, fold) in folds.into_iter().enumerate() {
         fit.problem.monitor.parts_done("folds", index, Some(all));

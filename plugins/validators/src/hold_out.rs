@@ -1,12 +1,13 @@
 //! Validator `hold-out`: how well a fit predicts rows that were left out of it.
 
-use abbe_core::{Context, Dataset, Figure, Findings, Fit, Result, RowIndex, SettingsError, Validate};
+use abbe_core::{Context, Dataset, Figure, Findings, Fit, Parts, Result, SettingsError, Validate};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::figures::{Groups, Limits, ONE, ResidualSample, check_limits, judged, outliers, residual_limits};
-use crate::folds::{Folds, contained, default_column, reduced, set_of, trained};
+use crate::figures::{Limits, ListedOutliers, ONE, check_limits, judged, outliers, residual_limits};
+use crate::folds::{Folds, default_column, set_of, trained};
+use crate::in_parts::{HeldOut, Predicted};
 
 abbe_core::register!(
     Validate,
@@ -60,6 +61,17 @@ impl Validate for HoldOut {
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
         judged(fits, &self.settings.limits, |fit, findings| self.judge(fit, findings))
     }
+
+    fn accepts_rows_in_parts(&self) -> bool {
+        true
+    }
+
+    fn validate_parts(&self, fits: &[(&Fit, Option<&dyn Parts>)], _: &[&Dataset]) -> Result<Findings> {
+        judged(fits, &self.settings.limits, |&(fit, parts), findings| match parts {
+            Some(parts) => self.judge_parts(fit, parts, findings),
+            None => self.judge(fit, findings),
+        })
+    }
 }
 
 impl HoldOut {
@@ -67,54 +79,60 @@ impl HoldOut {
         let (problem, column) = (&fit.problem, &self.settings.column);
         let set = set_of(fit, "rows", &self.settings.rows)?;
         let folds = self.settings.folds.split(problem, set, column)?;
-        let layout = &problem.sets[set].info().layout;
-        let labels = abbe_table::labels(&layout.data, column)?;
         let left_out = outliers(problem, &fit.calibration);
-        let (mut all, mut groups) = (ResidualSample::default(), Groups::default());
-        let (mut predicted, mut skipped) = (0_usize, 0_usize);
+        let mut all = Predicted::default();
         for (fold, trained) in trained(fit, folds, findings, |fold| fold.train(fit, set))? {
+            let found = Predicted::new((problem, set), &fold.rows, column, &trained, &left_out)?;
             findings.remarks.extend(trained.remark);
-            let good = fold.rows.iter().copied().filter(|row| !left_out.contains(&(set, *row)));
-            let good: Vec<RowIndex> = good.collect();
-            skipped += fold.rows.len() - good.len();
-            let held = reduced(problem, &trained.calibration, set, good, trained.undetermined);
-            let lost = contained(&held)?;
-            let mut missing: Vec<usize> = lost.iter().flatten().copied().collect();
-            missing.sort_unstable();
-            missing.dedup();
-            let rows = held.sets[set].rows.iter().zip(&lost);
-            let rows: Vec<RowIndex> = rows.filter(|(_, lost)| lost.is_empty()).map(|(row, _)| *row).collect();
-            if !missing.is_empty() {
-                let names: Vec<&str> = missing.iter().map(|&column| held.unknowns[column].name.as_str()).collect();
-                findings.remarks.push(format!(
-                    "{}: {} rows with {column} {} were not predicted, because only they tell {}",
-                    fit.name,
-                    lost.len() - rows.len(),
-                    fold.labels.join(", "),
-                    names.join(", ")
-                ));
-            }
-            predicted += rows.len();
-            let held = reduced(problem, &trained.calibration, set, rows, Vec::new());
-            let equations = held.equation_rows().into_iter().zip(held.quantities());
-            for (residual, ((_, row), quantity)) in held.residuals(&[])?.into_iter().zip(equations) {
-                all.push(quantity, residual);
-                if let Some(data_row) = layout.rows[row].data_row {
-                    groups.push(&labels[data_row], quantity, residual);
-                }
-            }
+            self.add(&mut all, found, (fit, &fold.labels), findings);
         }
-        findings.figures.extend(all.figures(&fit.name));
+        self.tell(fit, &all, findings);
+        Ok(())
+    }
+
+    /// The same of rows that are read again and again.
+    fn judge_parts(&self, fit: &Fit, parts: &dyn Parts, findings: &mut Findings) -> Result<()> {
+        let Settings { rows, column, folds, .. } = &self.settings;
+        set_of(fit, "rows", rows)?;
+        let rows = HeldOut { fit, parts, stage: rows, column };
+        let folds = folds.labels(&rows.labels()?, rows.stage, column)?;
+        let left_out = ListedOutliers::new(&fit.calibration);
+        let mut all = Predicted::default();
+        for (labels, trained) in trained(fit, folds, findings, |labels| rows.train(labels))? {
+            let found = rows.predict(&labels, &trained, &left_out)?;
+            findings.remarks.extend(trained.remark);
+            self.add(&mut all, found, (fit, &labels), findings);
+        }
+        self.tell(fit, &all, findings);
+        Ok(())
+    }
+
+    /// Adds a fold, and says which of its rows were not predicted.
+    fn add(&self, all: &mut Predicted, found: Predicted, (fit, labels): (&Fit, &[String]), findings: &mut Findings) {
+        if !found.missing.is_empty() {
+            findings.remarks.push(format!(
+                "{}: {} rows with {} {} were not predicted, because only they tell {}",
+                fit.name,
+                found.untold,
+                self.settings.column,
+                labels.join(", "),
+                found.missing.join(", ")
+            ));
+        }
+        all.join(found);
+    }
+
+    fn tell(&self, fit: &Fit, all: &Predicted, findings: &mut Findings) {
+        findings.figures.extend(all.all.figures(&fit.name));
         findings.figures.extend([
-            Figure::new(&fit.name, "predicted", predicted as f64, ONE),
-            Figure::new(&fit.name, "outliers", skipped as f64, ONE),
+            Figure::new(&fit.name, "predicted", all.rows as f64, ONE),
+            Figure::new(&fit.name, "outliers", all.outliers as f64, ONE),
         ]);
-        for (label, of_label) in groups.iter() {
-            findings.figures.extend(of_label.samples().map(|(sample, unit)| {
-                Figure::new(&fit.name, format!("rms[{column}={label}]"), sample.rms(), unit).detail()
+        for (label, of_label) in all.by_label.iter() {
+            findings.figures.extend(of_label.sizes().map(|([_, _, rms], unit)| {
+                Figure::new(&fit.name, format!("rms[{}={label}]", self.settings.column), rms, unit).detail()
             }));
         }
-        Ok(())
     }
 }
 

@@ -14,6 +14,7 @@ mod figures;
 mod folds;
 mod geometric_bias;
 mod hold_out;
+mod in_parts;
 mod influence;
 mod minimal_set;
 mod one_at_a_time;

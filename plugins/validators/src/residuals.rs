@@ -2,17 +2,20 @@
 //! residuals are largest, and whether they depend on time.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use abbe_core::{
-    Context, Dataset, Error, Figure, Findings, Fit, PathItem, Problem, Quantity, Result, RowIndex, SetIndex,
+    Context, Dataset, Error, Figure, Findings, Fit, Parts, PathItem, Problem, Result, RowIndex, SetIndex,
     SettingsError, Validate, Values,
 };
+use abbe_estimation::looked_at;
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::drift::{self, DEGREES, Drift};
-use crate::figures::{Groups, Limits, ONE, ResidualSample, check_limits, judged, outliers, residual_limits};
+use crate::figures::{Limits, ListedOutliers, ONE, check_limits, judged, outliers, residual_limits};
+use crate::in_parts::{ResidualSizes, SizesByLabel};
 use crate::prediction::predictable;
 use crate::rivals::{self, Rival};
 
@@ -52,13 +55,6 @@ struct Residuals {
     settings: Settings,
 }
 
-/// A residual that counts.
-struct Kept {
-    row: (SetIndex, RowIndex),
-    quantity: Quantity,
-    residual: f64,
-}
-
 impl Validate for Residuals {
     fn accepts_other_observations(&self) -> bool {
         true
@@ -71,44 +67,63 @@ impl Validate for Residuals {
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
         judged(fits, &self.settings.limits, |fit, findings| self.judge(fit, findings))
     }
+
+    fn accepts_rows_in_parts(&self) -> bool {
+        true
+    }
+
+    fn validate_parts(&self, fits: &[(&Fit, Option<&dyn Parts>)], _: &[&Dataset]) -> Result<Findings> {
+        judged(fits, &self.settings.limits, |&(fit, parts), findings| match parts {
+            Some(parts) => self.judge_parts(fit, parts, findings),
+            None => self.judge(fit, findings),
+        })
+    }
+}
+
+/// The residuals of rows, but for outliers.
+#[derive(Debug, Default)]
+struct Seen {
+    all: ResidualSizes,
+    outliers: usize,
+    /// In the order of the columns.
+    by_label: Vec<SizesByLabel>,
+}
+
+impl Seen {
+    /// Adds those of later rows.
+    fn join(&mut self, later: Self) {
+        self.all.join(&later.all);
+        self.outliers += later.outliers;
+        self.by_label.iter_mut().zip(&later.by_label).for_each(|(all, own)| all.join(own));
+    }
 }
 
 impl Residuals {
     fn judge(&self, fit: &Fit, findings: &mut Findings) -> Result<()> {
         let (problem, unpredictable) = predictable(fit)?;
         findings.remarks.extend(unpredictable);
-        let problem = &problem;
-        let left_out = outliers(problem, &fit.calibration);
-        let residuals = problem.residuals(&problem.values_of(&fit.calibration))?;
-        let kept: Vec<Kept> = (problem.equation_rows().into_iter().zip(problem.quantities()).zip(residuals))
-            .filter(|((row, _), _)| !left_out.contains(row))
-            .map(|((row, quantity), residual)| Kept { row, quantity, residual })
-            .collect();
-        let mut all = ResidualSample::default();
-        kept.iter().for_each(|kept| all.push(kept.quantity, kept.residual));
-        findings.figures.extend(all.figures(&fit.name));
-        findings.figures.push(Figure::new(&fit.name, "outliers", left_out.len() as f64, ONE));
-        let mut worst = Vec::new();
-        for column in self.columns(problem)? {
-            let groups = group(problem, &kept, &column);
-            for (label, of_label) in groups.iter() {
-                for (sample, unit) in of_label.samples() {
-                    let figure = |name: &str, value| {
-                        Figure::new(&fit.name, format!("{name}[{column}={label}]"), value, unit).detail()
-                    };
-                    findings.figures.extend([figure("rms", sample.rms()), figure("max", sample.max_absolute())]);
-                }
-            }
-            let lengths = groups.iter().filter(|(_, of_label)| !of_label.lengths.0.is_empty());
-            let lengths = lengths.map(|(label, of_label)| (label, of_label.lengths.rms()));
-            if let Some((label, rms)) = lengths.max_by(|(_, a), (_, b)| a.total_cmp(b)) {
-                worst.push(format!("{column} {label} ({rms:.1} µm)"));
-            }
-        }
-        if !worst.is_empty() {
-            findings.remarks.push(format!("{}: largest rms: {}", fit.name, worst.join(", ")));
-        }
+        let left_out = outliers(&problem, &fit.calibration);
+        let columns = self.columns(&problem)?;
+        tell(fit, &columns, &seen(&problem, fit, &left_out, &columns)?, findings);
         follow_time(fit, &left_out, findings)
+    }
+
+    /// The same of rows that are read again and again. Whether they follow time is asked of rows that are chosen at random.
+    fn judge_parts(&self, fit: &Fit, parts: &dyn Parts, findings: &mut Findings) -> Result<()> {
+        let sample = parts.sample()?.ok_or_else(|| Error::data("there are no rows"))?;
+        let (columns, listed) = (self.columns(&sample)?, ListedOutliers::new(&fit.calibration));
+        let look = |part: &Problem| seen(part, fit, &listed.among(part), &columns);
+        let found = looked_at(parts, &look, &|all: &mut Seen, later| all.join(later))?;
+        tell(fit, &columns, &found.unwrap_or_default(), findings);
+        let left_out = listed.among(&sample);
+        let Fit { name, estimator, calibration, .. } = fit;
+        let of_sample = Fit {
+            name: name.clone(),
+            problem: Arc::new(sample),
+            estimator: estimator.clone(),
+            calibration: calibration.clone(),
+        };
+        follow_time(&of_sample, &left_out, findings)
     }
 
     /// The columns by which residuals are summed up. A column of the settings has to exist in some data set.
@@ -128,16 +143,49 @@ impl Residuals {
     }
 }
 
-/// The residuals by the labels of a column; rows without it are in no group.
-fn group(problem: &Problem, residuals: &[Kept], column: &str) -> Groups {
-    let mut groups = Groups::default();
-    for &Kept { row: (set, row), quantity, residual } in residuals {
+/// The residuals of the rows of a problem, by the labels of some columns; rows without a column are under none of its labels.
+fn seen(problem: &Problem, fit: &Fit, left_out: &BTreeSet<(SetIndex, RowIndex)>, columns: &[String]) -> Result<Seen> {
+    let residuals = problem.residuals(&problem.values_of(&fit.calibration))?;
+    let by_label = vec![SizesByLabel::default(); columns.len()];
+    let mut seen = Seen { outliers: left_out.len(), by_label, ..Seen::default() };
+    for ((row, quantity), residual) in problem.equation_rows().into_iter().zip(problem.quantities()).zip(residuals) {
+        if left_out.contains(&row) {
+            continue;
+        }
+        seen.all.push(quantity, residual);
+        let (set, row) = row;
         let layout = &problem.sets[set].info().layout;
-        if let (Some(labels), Some(data_row)) = (layout.data.labels(column), layout.rows[row].data_row) {
-            groups.push(&labels[data_row], quantity, residual);
+        for (column, by_label) in columns.iter().zip(&mut seen.by_label) {
+            if let (Some(labels), Some(data_row)) = (layout.data.labels(column), layout.rows[row].data_row) {
+                by_label.of(&labels[data_row]).push(quantity, residual);
+            }
         }
     }
-    groups
+    Ok(seen)
+}
+
+/// The figures of residuals.
+fn tell(fit: &Fit, columns: &[String], seen: &Seen, findings: &mut Findings) {
+    findings.figures.extend(seen.all.figures(&fit.name));
+    findings.figures.push(Figure::new(&fit.name, "outliers", seen.outliers as f64, ONE));
+    let mut worst = Vec::new();
+    for (column, by_label) in columns.iter().zip(&seen.by_label) {
+        for (label, of_label) in by_label.iter() {
+            for ([max, _, rms], unit) in of_label.sizes() {
+                let figure = |name: &str, value| {
+                    Figure::new(&fit.name, format!("{name}[{column}={label}]"), value, unit).detail()
+                };
+                findings.figures.extend([figure("rms", rms), figure("max", max)]);
+            }
+        }
+        let lengths = by_label.iter().filter_map(|(label, of_label)| Some((label, of_label.rms_of_lengths()?)));
+        if let Some((label, rms)) = lengths.max_by(|(_, a), (_, b)| a.total_cmp(b)) {
+            worst.push(format!("{column} {label} ({rms:.1} µm)"));
+        }
+    }
+    if !worst.is_empty() {
+        findings.remarks.push(format!("{}: largest rms: {}", fit.name, worst.join(", ")));
+    }
 }
 
 /// Probability below which something is not chance.

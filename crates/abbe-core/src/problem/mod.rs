@@ -9,6 +9,7 @@ mod linearise;
 mod rows;
 mod tie;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use schemars::JsonSchema;
@@ -264,6 +265,12 @@ impl Problem {
         let known = calibration.by_name();
         let unknowns = self.unknowns.iter().zip(self.start());
         unknowns.map(|(unknown, start)| known.get(unknown.name.as_str()).map_or(start, |known| known.value)).collect()
+    }
+
+    /// The values of the unknowns by their names; those without one are at their start.
+    pub fn values_at(&self, at: &BTreeMap<String, f64>) -> Vec<f64> {
+        let unknowns = self.unknowns.iter().zip(self.start());
+        unknowns.map(|(unknown, start)| at.get(&unknown.name).copied().unwrap_or(start)).collect()
     }
 }
 
