@@ -1,6 +1,7 @@
 //! Data sets that are read in batches: the estimate of all rows, however large the batches are and however many threads read them, in
 //! memory that does not grow with the rows.
 
+mod again;
 mod files;
 
 use std::path::Path;
@@ -230,15 +231,15 @@ fn what_needs_all_rows_is_refused() {
         ),
         (tango(&[("fit-S2", "parameters", json!(["dxt", "dyt", "dzt", "EZS[1]", "table.*"]))]), "`EZS[1]` matches no"),
         (
-            more(
-                tango(&[]),
-                "next",
-                json!({ "validate": "hold-out", "of": "fit-S2", "rows": "table", "column": "group", "folds": [[5]] }),
-            ),
+            more(tango(&[]), "next", json!({ "validate": "minimal-set", "of": "fit-S2" })),
             "asks about the rows that an estimate was made of",
         ),
         (
-            more(tango(&[]), "next", json!({ "estimate": "monte-carlo", "of": "fit-S2", "trials": 2000 })),
+            more(
+                tango(&[]),
+                "next",
+                json!({ "estimate": "monte-carlo", "of": "fit-S2", "trials": 2000, "rows": "resampled" }),
+            ),
             "`next` needs all rows of `touches` at once",
         ),
     ] {

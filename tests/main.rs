@@ -18,6 +18,7 @@ mod corrected;
 mod coverage;
 mod data;
 mod decisions;
+mod eliminated;
 mod errors;
 mod expected_figures;
 mod facets;

@@ -95,7 +95,7 @@ pub use inverse_kinematics::InverseKinematics;
 pub use judgement::Judgement;
 pub use location::{LocationError, LocationErrors, Standing, location_errors};
 pub use mistakes::likely_mistakes;
-pub use parts::{ChangedParts, RowsInParts, SolutionOfParts, joined_evidence, looked_at, part_evidence};
+pub use parts::{ChangedParts, RowsAtHand, RowsInParts, SolutionOfParts, joined_evidence, looked_at, part_evidence};
 pub use plausibility::{
     Contradicted, LargeError, absurd_error, contradicted, implausible_errors, large_errors, opposite_factor,
 };

@@ -207,6 +207,23 @@ pub fn looked_at<T: Send>(
     Ok(all.into_inner().unwrap_or_else(PoisonError::into_inner).0)
 }
 
+/// A problem whose rows are all here, as one part.
+pub struct RowsAtHand<'a>(pub &'a Problem);
+
+impl Parts for RowsAtHand<'_> {
+    fn count(&self) -> usize {
+        1
+    }
+
+    fn evidence(&self, _: usize, asked: AskedOfPart, at: &BTreeMap<String, f64>) -> Result<Arc<PartEvidence>> {
+        part_evidence(self.0, asked, &self.0.values_at(at)).map(Arc::new)
+    }
+
+    fn ask(&self, question: &QuestionToRows<'_>) -> Result<Option<PartEvidence>> {
+        question(0, self.0).map(Some)
+    }
+}
+
 /// Rows in parts each of which is changed before anything is asked of it: fewer rows, other readings.
 ///
 /// Only parts that can be read again and again are changed ([`Parts::ask`]).
@@ -237,7 +254,7 @@ impl Parts for ChangedParts<'_> {
     }
 }
 
-fn residual_sums(problem: &Problem, residuals: Vec<f64>) -> Result<ResidualSums> {
+pub(crate) fn residual_sums(problem: &Problem, residuals: Vec<f64>) -> Result<ResidualSums> {
     let quantities = problem.quantities();
     let of = |angles: bool| {
         let own = residuals.iter().zip(&quantities).filter(move |(_, of)| (**of == Quantity::Angle) == angles);

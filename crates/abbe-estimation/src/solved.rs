@@ -213,12 +213,8 @@ impl UncertaintyEvaluation {
         let propagation =
             Propagation::of_factors(problem, &factor.covariance_root(rank), (&of_sets, &extended), scales);
         self.check_redundancy(&statistics, rank, &propagation)?;
-        let (points, squares) = residuals.points;
-        let told = Told {
-            radial_rms: (points > 0).then(|| (squares / points as f64).sqrt()),
-            equivalent_motion_errors: Vec::new(),
-            variance: Vec::new(),
-        };
+        let told =
+            Told { radial_rms: residuals.radial_rms(), equivalent_motion_errors: Vec::new(), variance: Vec::new() };
         let fit = self.report(problem, found, &statistics, (iterations, last_step, gradient_cosine), told);
         let mut calibration = calibration(problem, &x, propagation.covariance(problem), sums.outliers, fit);
         calibration.uncertainty = self.explained.then(|| propagation.budget(problem, self.coverage_probability));

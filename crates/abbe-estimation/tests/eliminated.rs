@@ -10,7 +10,7 @@ use abbe_balls as _;
 use abbe_core::{
     Build, Calibration, Context, Estimate, Kind, KinematicModel, ObservationSet, Plugin, Problem, Registry,
 };
-use abbe_estimation::{EliminatedRows, UncertaintyEvaluation};
+use abbe_estimation::{EliminatedRows, RowsAtHand, UncertaintyEvaluation};
 use abbe_facets as _;
 use abbe_gauss_newton as _;
 use abbe_length as _;
@@ -54,7 +54,8 @@ fn problem(folder: &Path, machine: &Value, artefacts: &[(&str, &str, Value, &str
 }
 
 fn estimated(problem: &Problem) -> Calibration {
-    let rows = EliminatedRows::new(problem).unwrap();
+    let at_hand = RowsAtHand(problem);
+    let rows = EliminatedRows::new(problem, &at_hand).unwrap();
     let judged = rows.judge(EVALUATION.rank_tolerance).unwrap();
     assert_eq!(judged.rank, problem.unknowns.len());
     let solved = rows.solve(&problem.start(), &Options::USUAL).unwrap();
@@ -152,7 +153,7 @@ fn facets_of_a_five_axis_machine_with_a_bar() {
 fn what_is_lost_has_the_same_name() {
     let problem = tango(false);
     let dense = gauss_newton().identify(&problem).unwrap();
-    let found = EliminatedRows::new(&problem).unwrap().judge(EVALUATION.rank_tolerance).unwrap();
+    let found = EliminatedRows::new(&problem, &RowsAtHand(&problem)).unwrap().judge(EVALUATION.rank_tolerance).unwrap();
     assert_eq!((found.rank, found.unknowns), (dense.rank, dense.unknowns));
     assert!((found.condition / dense.condition - 1.0).abs() < 1e-3, "{} {}", found.condition, dense.condition);
     let [one] = found.null_space.as_slice() else { panic!("one direction: {:?}", found.null_space) };

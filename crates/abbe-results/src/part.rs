@@ -77,6 +77,12 @@ pub struct ResidualSums {
 }
 
 impl ResidualSums {
+    /// The root mean square of the distances of points in space, mm; none if there are none.
+    pub fn radial_rms(&self) -> Option<f64> {
+        let (points, squares) = self.points;
+        (points > 0).then(|| (squares / points as f64).sqrt())
+    }
+
     /// The sums of these rows and others.
     pub fn with(&self, other: &Self) -> Self {
         Self {

@@ -1,6 +1,6 @@
 //! Estimates with many own unknowns of artefacts: these are eliminated, one facet or ball after another.
 
-use abbe_core::{Calibration, Error, Owner, Problem, Result, Unknown};
+use abbe_core::{Calibration, Error, Owner, Parts, Problem, Result, Unknown};
 use abbe_estimation::{EliminatedRows, confounded};
 
 use crate::GaussNewton;
@@ -15,12 +15,16 @@ impl GaussNewton {
     ///
     /// Where that is not possible, and there are few enough for one triangle of all unknowns, it is not done. Fails where there are too
     /// many.
-    pub(crate) fn eliminating<'a>(&self, problem: &'a Problem) -> Result<Option<EliminatedRows<'a>>> {
+    pub(crate) fn eliminating<'a>(
+        &self,
+        problem: &'a Problem,
+        parts: &'a dyn Parts,
+    ) -> Result<Option<EliminatedRows<'a>>> {
         let own = problem.unknowns.iter().filter(|unknown| matches!(unknown.owner, Owner::Set(_))).count();
         if own <= self.settings.own_covariances.get() {
             return Ok(None);
         }
-        let found = self.may_eliminate(problem).and_then(|()| EliminatedRows::new(problem));
+        let found = self.may_eliminate(problem).and_then(|()| EliminatedRows::new(problem, parts));
         let at_once = match &found {
             Ok(rows) => problem.unknowns.len() - rows.eliminated(),
             Err(error) if error.fatal || error.out_of_time => return found.map(Some),
@@ -74,7 +78,6 @@ impl GaussNewton {
 
     /// The estimate of a problem whose own unknowns are eliminated.
     pub(crate) fn of_eliminated(&self, rows: &EliminatedRows<'_>, explained: bool) -> Result<Calibration> {
-        Self::check(rows.problem())?;
         let found = rows.judge(self.settings.rank_tolerance)?;
         if found.rank < found.unknowns {
             return Err(confounded(&found));

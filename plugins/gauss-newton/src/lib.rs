@@ -17,7 +17,7 @@ use abbe_core::{
     SettingsError, Status, Unknown,
 };
 use abbe_estimation::{
-    EstimatorSolution, Judgement, RankDeficiency, UncertaintyEvaluation, VarianceComponents, Weighted,
+    EstimatorSolution, Judgement, RankDeficiency, RowsAtHand, UncertaintyEvaluation, VarianceComponents, Weighted,
     check_preferences, components, confounded, identifiability, in_order_of_preference, rival_wavelengths, separated,
     wavelengths,
 };
@@ -293,7 +293,7 @@ impl GaussNewton {
         if problem.unknowns.is_empty() {
             return self.as_it_is(problem, explained);
         }
-        if let Some(rows) = self.eliminating(problem)? {
+        if let Some(rows) = self.eliminating(problem, &RowsAtHand(problem))? {
             return self.of_eliminated(&rows, explained);
         }
         let Judged { started, judgement: judged, remarks } = self.judge(problem)?;
@@ -471,7 +471,7 @@ impl Estimate for GaussNewton {
             // What these rows determine may well be less than all.
             return Ok(problem.values_of(&self.estimate_all(problem, false)?));
         }
-        if let Some(rows) = self.eliminating(problem)? {
+        if let Some(rows) = self.eliminating(problem, &RowsAtHand(problem))? {
             return Ok(rows.solve(&problem.start(), &self.options(1e-6, true))?.x);
         }
         // Near the solution: what is left after this step is its square.
@@ -489,7 +489,7 @@ impl Estimate for GaussNewton {
         if let Some(select) = &self.settings.select {
             select.candidates(problem)?;
         }
-        if let Some(rows) = self.eliminating(problem)? {
+        if let Some(rows) = self.eliminating(problem, &RowsAtHand(problem))? {
             return self.evaluation(true).identify_eliminated(&rows);
         }
         let Judged { started, judgement, remarks } = self.judge(problem)?;

@@ -7,30 +7,13 @@ use abbe_core::{
     AskedOfPart, Calibration, Error, Identifiability, PartEvidence, Parts, Problem, QuestionToRows, Result, Unknown,
 };
 use abbe_estimation::{
-    EstimatorSolution, Judgement, RowsInParts, SolutionOfParts, confounded, identifiability, part_evidence,
+    EstimatorSolution, Judgement, RowsAtHand, RowsInParts, SolutionOfParts, confounded, identifiability, part_evidence,
 };
 use abbe_numerics::{End, HuberPoint, LeastSquares, Options, Solution, huber_point, solve_from, solve_in_passes};
 
 use crate::GaussNewton;
 use crate::convergence::converged;
 use crate::settings::{OnConfounded, Variance};
-
-/// A problem whose rows are all here, as one part.
-struct Alone<'a>(&'a Problem);
-
-impl Parts for Alone<'_> {
-    fn count(&self) -> usize {
-        1
-    }
-
-    fn evidence(&self, _: usize, asked: AskedOfPart, at: &BTreeMap<String, f64>) -> Result<Arc<PartEvidence>> {
-        part_evidence(self.0, asked, &self.0.values_at(at)).map(Arc::new)
-    }
-
-    fn ask(&self, question: &QuestionToRows<'_>) -> Result<Option<PartEvidence>> {
-        question(0, self.0).map(Some)
-    }
-}
 
 /// Where a sample of the rows ends.
 struct SolvedSample {
@@ -65,6 +48,9 @@ impl GaussNewton {
     /// where a sample of them ends.
     pub(crate) fn of_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Calibration> {
         self.check_settings_for_batches()?;
+        if let Some(rows) = self.eliminating(problem, parts)? {
+            return self.of_eliminated(&rows, true);
+        }
         let rows = RowsInParts::new(problem, parts);
         let sample = self.start_of_parts(problem, parts)?;
         // More rows tell no less: all of them are judged where the sample leaves something open.
@@ -189,7 +175,7 @@ impl GaussNewton {
         let start = RowsInParts::huber_start(x);
         let at = match self.robust() {
             None => Some(start),
-            Some(_) => huber_point(&RowsInParts::new(sample, &Alone(sample)), start)?,
+            Some(_) => huber_point(&RowsInParts::new(sample, &RowsAtHand(sample)), start)?,
         };
         Ok(at.map(|at| SolvedSample { at, determines_all }))
     }
@@ -201,12 +187,18 @@ impl GaussNewton {
         }
         self.check_settings_for_batches()?;
         let options = self.options(1e-6, true);
+        if let Some(rows) = self.eliminating(problem, parts)? {
+            return Ok(rows.solve(&problem.start(), &options)?.x);
+        }
         Ok(self.iterate(&RowsInParts::new(problem, parts), &problem.start(), None, &options)?.x)
     }
 
     /// What the rows of all parts determine.
     pub(crate) fn identified_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Identifiability> {
         self.check_settings_for_batches()?;
+        if let Some(rows) = self.eliminating(problem, parts)? {
+            return self.evaluation(true).identify_eliminated(&rows);
+        }
         self.evaluation(true).identify_parts(&RowsInParts::new(problem, parts))
     }
 

@@ -130,6 +130,30 @@ impl<'a> ArrowAccumulator<'a> {
         Ok(())
     }
 
+    /// Adds the rows of another one with the same groups and as many sources.
+    pub fn join(&mut self, mut other: Self) {
+        other.eliminate_waiting();
+        for (group, own) in other.waiting.into_iter().enumerate().filter(|(_, own)| !own.lines.is_empty()) {
+            let waiting = &mut self.waiting[group];
+            waiting.source = own.source;
+            waiting.lines.extend(&own.lines);
+            if !std::mem::replace(&mut waiting.is_touched, true) {
+                self.touched.push(group);
+            }
+            self.pending += own.lines.len();
+        }
+        let shared = self.groups.shared().len();
+        for (left, own) in self.left.iter_mut().zip(other.left) {
+            for line in own.finish().lines() {
+                left.push(&line[..shared], line[shared], 1.0);
+            }
+        }
+        self.rows.iter_mut().zip(other.rows).for_each(|(rows, own)| *rows += own);
+        if self.pending > WAITING {
+            self.eliminate_waiting();
+        }
+    }
+
     /// The group of a row; none if it has shared unknowns alone.
     fn group_of(&self, unknowns: &[usize], derivatives: &[f64]) -> Result<Option<usize>, OfTwoGroups> {
         let mut found: Option<(usize, usize)> = None;

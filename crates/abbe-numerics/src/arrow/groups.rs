@@ -111,6 +111,18 @@ impl GroupSearch {
         }
     }
 
+    /// Adds what was seen of other rows of the same unknowns.
+    pub fn join(&mut self, other: Self) {
+        for (met, own) in self.met.iter_mut().zip(other.met) {
+            for unknown in own {
+                if met.len() > PARTNERS {
+                    break;
+                }
+                met.insert(unknown);
+            }
+        }
+    }
+
     /// The groups of the rows so far. An unknown that meets too many others is shared, as one of a whole artefact is, and so are those
     /// of a group that is too large.
     pub fn groups(&self) -> Groups {

@@ -127,6 +127,48 @@ impl Case {
     }
 }
 
+/// However rows are divided, their triangles are together those of all.
+#[test]
+fn parts_make_up_the_whole() {
+    for (seed, lost) in (0..70).zip(ALL.into_iter().cycle()) {
+        let case = Case::new(1000 + seed, lost);
+        let (groups, whole) = (case.groups(), case.arrow());
+        let size = 1 + seed as usize % 9;
+        let mut search = GroupSearch::new(case.own.clone());
+        for rows in case.rows.chunks(size) {
+            let mut part = GroupSearch::new(case.own.clone());
+            rows.iter().for_each(|row| part.row(&row.unknowns, &row.derivatives));
+            search.join(part);
+        }
+        assert_eq!(search.groups(), groups);
+        let part = |rows: &[Row]| {
+            let mut part = ArrowAccumulator::new(&groups, &[rows.len(), 1]);
+            for row in rows {
+                part.push(row.source, &row.unknowns, &row.derivatives, row.residual, 0.5).expect("one group a row");
+            }
+            part
+        };
+        let mut all = ArrowAccumulator::new(&groups, &[10, 10]);
+        case.rows.chunks(size).for_each(|rows| all.join(part(rows)));
+        let found = all.finish();
+        assert_eq!(found.rows(), whole.rows());
+        let (one, other) = (found.spectrum(1e-9), whole.spectrum(1e-9));
+        assert_eq!(one.rank, other.rank, "{seed}, {lost:?}");
+        assert!((found.cost() / whole.cost() - 1.0).abs() < TOLERANCE);
+        for (one, other) in found.norms().iter().zip(whole.norms()) {
+            assert!(near(*one, *other, TOLERANCE * other), "{seed}, {lost:?}: {one} and {other}");
+        }
+        for (one, other) in found.of_sources().iter().zip(whole.of_sources()) {
+            assert_eq!(one.rows(), other.rows());
+        }
+        if lost == Lost::Nothing {
+            let (found, whole) = (found.step().expect("a step"), whole.step().expect("a step"));
+            let size = whole.iter().fold(0.0_f64, |size, step| size.max(step.abs()));
+            assert!(found.iter().zip(&whole).all(|(one, other)| near(*one, *other, TOLERANCE * size)), "{seed}");
+        }
+    }
+}
+
 fn near(one: f64, other: f64, size: f64) -> bool {
     (one - other).abs() <= size
 }
