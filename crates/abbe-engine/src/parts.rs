@@ -133,8 +133,13 @@ impl PartSet {
             let message = format!("`{}.{name}` has another {what} in another part of the rows", self.name);
             Err(Error::data(message).help(AT_ONCE).stage(&self.name))
         };
+        let places = |names: Vec<&str>| -> BTreeMap<String, usize> {
+            names.into_iter().enumerate().map(|(place, name)| (name.to_owned(), place)).collect()
+        };
+        let unknowns = places(self.unknowns.iter().map(|known| known.name.as_str()).collect());
+        let inputs = places(self.inputs.iter().map(|known| known.parameter.name.as_str()).collect());
         for (unknown, start) in other.unknowns.iter().zip(&other.start) {
-            match self.unknowns.iter().position(|known| known.name == unknown.name) {
+            match unknowns.get(&unknown.name).copied() {
                 None => {
                     self.unknowns.push(unknown.clone());
                     self.start.push(*start);
@@ -146,7 +151,7 @@ impl PartSet {
         }
         for (input, id) in other.inputs.iter().zip(&other.ids) {
             let name = &input.parameter.name;
-            match self.inputs.iter().position(|known| known.parameter.name == *name) {
+            match inputs.get(name).copied() {
                 None => {
                     self.inputs.push(input.clone());
                     self.ids.push(id.clone());

@@ -9,10 +9,10 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use abbe_core::{
-    Calibration, Class, Error, Estimate, EstimateSource, Fit, FitReport, Identifiability, Kind, Problem, Result,
+    Calibration, Class, Error, Estimate, EstimateSource, Fit, FitReport, Identifiability, Kind, Owner, Problem, Result,
     UncertaintyBudget, Unknown,
 };
-use abbe_estimation::calibration;
+use abbe_estimation::{MOST_AT_ONCE, calibration};
 use abbe_recipe::Stage;
 
 use crate::batches::InBatches;
@@ -34,6 +34,10 @@ impl Unsolved {
     /// The estimate that is to be expected: start values, and the uncertainties that were told, or none.
     fn expected(&self, problem: &Problem) -> Calibration {
         let budget = self.budget.as_ref();
+        // Own unknowns of so many have no covariance.
+        let is_eliminated = |unknown: &Unknown| matches!(unknown.owner, Owner::Set(_));
+        let reduced = (problem.unknowns.len() > MOST_AT_ONCE).then(|| problem.without_unknowns(is_eliminated));
+        let problem = reduced.as_ref().unwrap_or(problem);
         let standard_uncertainty = |unknown: &Unknown| {
             let told = budget.and_then(|budget| budget.parameters.iter().find(|other| other.name == unknown.name));
             told.map_or(0.0, |told| told.standard_uncertainty)

@@ -26,12 +26,17 @@ use crate::weighted::Weighted;
 
 /// A problem whose own unknowns are eliminated.
 pub struct EliminatedRows<'a> {
+    whole: Whole<'a>,
+    parts: &'a dyn Parts,
+    search: RefCell<GroupSearch>,
+}
+
+/// What all parts have together.
+struct Whole<'a> {
     /// It has the unknowns of all parts; its rows do not count.
     problem: &'a Problem,
-    parts: &'a dyn Parts,
     /// The columns of unknowns, then those of what is considered, by their names.
     columns: BTreeMap<&'a str, usize>,
-    search: RefCell<GroupSearch>,
 }
 
 /// Where rows are linearised.
@@ -45,45 +50,7 @@ enum At<'x> {
     InContact(&'x [f64], bool),
 }
 
-impl<'a> EliminatedRows<'a> {
-    /// The rows of a problem that lie in parts; one part may have all ([`RowsAtHand`](crate::RowsAtHand)).
-    ///
-    /// Fails for rows that belong together with rows of other groups: errors that rows share, repeats that are pooled, constraints of
-    /// certificates. Fails where the rows have no derivatives at the start values.
-    pub fn new(problem: &'a Problem, parts: &'a dyn Parts) -> Result<Self> {
-        let all = problem.unknowns.iter().chain(&problem.considered.unknowns);
-        let columns = all.enumerate().map(|(column, unknown)| (unknown.name.as_str(), column)).collect();
-        let own = problem.unknowns.iter().map(|unknown| matches!(unknown.owner, Owner::Set(_)));
-        let search = RefCell::new(GroupSearch::new(own.collect()));
-        let rows = Self { problem, parts, columns, search };
-        rows.look_for_groups(At::Recorded(&problem.start()))?;
-        Ok(rows)
-    }
-
-    /// The problem.
-    pub fn problem(&self) -> &'a Problem {
-        self.problem
-    }
-
-    /// How many unknowns are eliminated.
-    pub fn eliminated(&self) -> usize {
-        self.search.borrow().groups().eliminated()
-    }
-
-    /// Takes note of what occurs together in rows.
-    fn look_for_groups(&self, at: At<'_>) -> Result<()> {
-        let own: Vec<bool> =
-            self.problem.unknowns.iter().map(|unknown| matches!(unknown.owner, Owner::Set(_))).collect();
-        let look = |part: &Problem| {
-            let mut search = GroupSearch::new(own.clone());
-            self.rows_of(part, at, &mut |_, unknowns, line, _| search.row(unknowns, line))?;
-            Ok(search)
-        };
-        let found = looked_at(self.parts, &look, &|all: &mut GroupSearch, own| all.join(own))?;
-        found.iter().for_each(|found| self.search.borrow_mut().join(found.clone()));
-        Ok(())
-    }
-
+impl Whole<'_> {
     /// Shows the rows of a part: the set of each, its unknowns among all columns, ascending, its derivatives to them, and its residual.
     fn rows_of(&self, part: &Problem, at: At<'_>, row: &mut dyn FnMut(usize, &[usize], &[f64], f64)) -> Result<()> {
         if part.equations() == 0 {
@@ -158,44 +125,8 @@ impl<'a> EliminatedRows<'a> {
         sets.ok_or_else(|| Error::data("a part of the rows is of an artefact that all rows together have not"))
     }
 
-    /// The triangles of all rows.
-    ///
-    /// Derivatives that were zero elsewhere may not be here, and join groups.
-    fn arrow(&self, at: At<'_>) -> Result<ArrowFactor> {
-        loop {
-            let groups = self.search.borrow().groups();
-            let groups = match at {
-                At::InContact(_, true) => groups.with_shared(self.problem.considered.unknowns.len()),
-                _ => groups,
-            };
-            match self.in_groups(at, &groups)? {
-                Ok(factor) => return Ok(factor),
-                Err(_) => self.look_for_groups(at)?,
-            }
-        }
-    }
-
-    fn in_groups(&self, at: At<'_>, groups: &Groups) -> Result<Result<ArrowFactor, OfTwoGroups>> {
-        let sources = self.problem.sets.len();
-        let look = |part: &Problem| self.of_part(part, at, groups);
-        let join = |all: &mut Result<ArrowAccumulator<'_>, OfTwoGroups>,
-                    own: Result<ArrowAccumulator<'_>, OfTwoGroups>| {
-            match (all.as_mut(), own) {
-                (Ok(all), Ok(own)) => all.join(own),
-                (Ok(_), Err(of_two)) => *all = Err(of_two),
-                (Err(_), _) => {}
-            }
-        };
-        let found = looked_at(self.parts, &look, &join)?;
-        Ok(found.unwrap_or_else(|| Ok(ArrowAccumulator::new(groups, &vec![0; sources]))).map(ArrowAccumulator::finish))
-    }
-
-    fn of_part<'g>(
-        &self,
-        part: &Problem,
-        at: At<'_>,
-        groups: &'g Groups,
-    ) -> Result<Result<ArrowAccumulator<'g>, OfTwoGroups>> {
+    /// The triangles of a part.
+    fn of_part<'g>(&self, part: &Problem, at: At<'_>, groups: &'g Groups) -> Result<OfPart<'g>> {
         let mut counts = vec![0; self.problem.sets.len()];
         for (set, range) in self.sets_of(part)?.into_iter().zip(part.equation_ranges()) {
             counts[set] += range.len();
@@ -244,6 +175,73 @@ impl<'a> EliminatedRows<'a> {
         self.columns_of(part)?.into_iter().zip(idle).for_each(|(column, idle)| all[column] = idle);
         Ok(all)
     }
+}
+
+impl<'a> EliminatedRows<'a> {
+    /// The rows of a problem that lie in parts; one part may have all ([`RowsAtHand`](crate::RowsAtHand)).
+    ///
+    /// Fails for rows that belong together with rows of other groups: errors that rows share, repeats that are pooled, constraints of
+    /// certificates. Fails where the rows have no derivatives at the start values.
+    pub fn new(problem: &'a Problem, parts: &'a dyn Parts) -> Result<Self> {
+        let all = problem.unknowns.iter().chain(&problem.considered.unknowns);
+        let columns = all.enumerate().map(|(column, unknown)| (unknown.name.as_str(), column)).collect();
+        let own = problem.unknowns.iter().map(|unknown| matches!(unknown.owner, Owner::Set(_)));
+        let search = RefCell::new(GroupSearch::new(own.collect()));
+        let rows = Self { whole: Whole { problem, columns }, parts, search };
+        rows.look_for_groups(At::Recorded(&problem.start()))?;
+        Ok(rows)
+    }
+
+    /// The problem.
+    pub fn problem(&self) -> &'a Problem {
+        self.whole.problem
+    }
+
+    /// How many unknowns are eliminated.
+    pub fn eliminated(&self) -> usize {
+        self.search.borrow().groups().eliminated()
+    }
+
+    /// Takes note of what occurs together in rows.
+    fn look_for_groups(&self, at: At<'_>) -> Result<()> {
+        let own: Vec<bool> =
+            self.whole.problem.unknowns.iter().map(|unknown| matches!(unknown.owner, Owner::Set(_))).collect();
+        let whole = &self.whole;
+        let look = |part: &Problem| {
+            let mut search = GroupSearch::new(own.clone());
+            whole.rows_of(part, at, &mut |_, unknowns, line, _| search.row(unknowns, line))?;
+            Ok(search)
+        };
+        let found = looked_at(self.parts, &look, &|all: &mut GroupSearch, own| all.join(own))?;
+        found.iter().for_each(|found| self.search.borrow_mut().join(found.clone()));
+        Ok(())
+    }
+
+    /// The triangles of all rows.
+    ///
+    /// Derivatives that were zero elsewhere may not be here, and join groups.
+    fn arrow(&self, at: At<'_>) -> Result<ArrowFactor> {
+        loop {
+            let groups = self.search.borrow().groups();
+            let groups = match at {
+                At::InContact(_, true) => groups.with_shared(self.whole.problem.considered.unknowns.len()),
+                _ => groups,
+            };
+            match self.in_groups(at, &groups)? {
+                Ok(factor) => return Ok(factor),
+                Err(_) => self.look_for_groups(at)?,
+            }
+        }
+    }
+
+    fn in_groups(&self, at: At<'_>, groups: &Groups) -> Result<Result<ArrowFactor, OfTwoGroups>> {
+        let whole = &self.whole;
+        let look = |part: &Problem| whole.of_part(part, at, groups);
+        let found = looked_at(self.parts, &look, &joined)?;
+        Ok(found
+            .unwrap_or_else(|| Ok(ArrowAccumulator::new(groups, &vec![0; whole.problem.sets.len()])))
+            .map(ArrowAccumulator::finish))
+    }
 
     /// Minimises the sum of squares from `start`; see [`Options`].
     pub fn solve(&self, start: &[f64], options: &Options) -> Result<Solution<ArrowFactor>> {
@@ -252,19 +250,20 @@ impl<'a> EliminatedRows<'a> {
 
     /// Judges what the rows determine, as [`Judgement`](crate::Judgement) does: rank, what is lost and what is weak, with names.
     pub fn judge(&self, tolerance: f64) -> Result<Identifiability> {
-        Ok(identified(self.problem, &self.arrow(At::Nominal)?, tolerance))
+        Ok(identified(self.whole.problem, &self.arrow(At::Nominal)?, tolerance))
     }
 
     /// The sums of the residuals of all rows.
     fn residuals(&self, x: &[f64]) -> Result<ResidualSums> {
-        let look = |part: &Problem| residual_sums(part, part.residuals(&self.values(part, x))?);
+        let whole = &self.whole;
+        let look = |part: &Problem| residual_sums(part, part.residuals(&whole.values(part, x))?);
         let found = looked_at(self.parts, &look, &|all: &mut ResidualSums, own| *all = all.with(&own))?;
         Ok(found.unwrap_or_default())
     }
 
     /// The unknowns that are not eliminated, by triangles with columns for what is considered.
     fn shared(&self, extended: &ArrowFactor) -> impl Iterator<Item = usize> {
-        let count = self.problem.unknowns.len();
+        let count = self.whole.problem.unknowns.len();
         extended.shared().iter().copied().filter(move |column| *column < count)
     }
 
@@ -273,7 +272,7 @@ impl<'a> EliminatedRows<'a> {
         let mut is_shared = vec![false; x.len()];
         self.shared(extended).for_each(|unknown| is_shared[unknown] = true);
         let shared = is_shared.iter().filter(|shared| **shared).count();
-        let mut reduced = self.problem.with_values(x);
+        let mut reduced = self.whole.problem.with_values(x);
         let mut kept = is_shared.into_iter();
         reduced.unknowns.retain(|_| kept.next() == Some(true));
         let own = |factor: &Factor| factor.without_unknowns(|column| column >= shared);
@@ -281,6 +280,18 @@ impl<'a> EliminatedRows<'a> {
         let of_sets: Vec<Factor> = extended.of_sources().iter().map(own).collect();
         let propagation = Propagation::of_factors(&reduced, &root, (&of_sets, extended.of_shared()), scales);
         (reduced, propagation)
+    }
+}
+
+/// The triangles of a part, or a row that has unknowns of two groups.
+type OfPart<'g> = Result<ArrowAccumulator<'g>, OfTwoGroups>;
+
+/// Adds the triangles of a later part.
+fn joined<'g>(all: &mut OfPart<'g>, own: OfPart<'g>) {
+    match (all.as_mut(), own) {
+        (Ok(all), Ok(own)) => all.join(own),
+        (Ok(_), Err(of_two)) => *all = Err(of_two),
+        (Err(_), _) => {}
     }
 }
 
@@ -313,7 +324,7 @@ impl Descent for EliminatedRows<'_> {
     }
 
     fn stepped(&self, iteration: usize, size: f64) {
-        self.problem.monitor.iteration(iteration, size);
+        self.whole.problem.monitor.iteration(iteration, size);
     }
 
     fn factor_at(&self, x: &[f64], _: Option<&[f64]>) -> Result<ArrowFactor> {
@@ -327,7 +338,7 @@ impl UncertaintyEvaluation {
     pub fn identify_eliminated(&self, rows: &EliminatedRows<'_>) -> Result<Identifiability> {
         let mut found = rows.judge(self.rank_tolerance)?;
         if found.rank == found.unknowns {
-            let start = rows.problem.start();
+            let start = rows.whole.problem.start();
             let scales = AposterioriFactors::Common(1.0, f64::INFINITY);
             let (reduced, propagation) = rows.propagated(&rows.arrow(At::InContact(&start, true))?, &start, scales);
             found.uncertainty = Some(propagation.budget(&reduced, self.coverage_probability));
@@ -344,7 +355,7 @@ impl UncertaintyEvaluation {
         rows: &EliminatedRows<'_>,
         solved: &Solution<ArrowFactor>,
     ) -> Result<Calibration> {
-        let (problem, x, count) = (rows.problem, &solved.x, rows.problem.unknowns.len());
+        let (problem, x, count) = (rows.whole.problem, &solved.x, rows.whole.problem.unknowns.len());
         let at_contact = rows.arrow(At::InContact(x, false))?;
         let found = identified(problem, &at_contact, self.rank_tolerance);
         if found.rank < count {

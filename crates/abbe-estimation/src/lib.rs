@@ -113,4 +113,4 @@ pub use separation::{SeparationTrials, separating_measurements};
 pub use solved::{EstimatorSolution, RankDeficiency, UncertaintyEvaluation};
 pub use variance::{VarianceComponents, components};
 pub use wavelength::{Wavelength, rival_wavelengths, wavelengths};
-pub use weighted::Weighted;
+pub use weighted::{MOST_AT_ONCE, Weighted};

@@ -4,6 +4,9 @@
 use abbe_core::{CompactBlock, CovarianceBlock, EquationIndex, Error, IndexRange, Problem, Result};
 use abbe_numerics::{Accumulator, Factor, LeastSquares, Sink};
 
+/// Unknowns that one triangle may have. Their covariances in `calibration.json` have some 500 MB then.
+pub const MOST_AT_ONCE: usize = 5_000;
+
 /// A problem in weighted rows.
 pub struct Weighted<'a> {
     problem: &'a Problem,
@@ -80,6 +83,7 @@ impl<'a> Weighted<'a> {
         if self.is_correlated() {
             return Ok((self.factor(x, None)?, self.problem.residuals(x)?));
         }
+        self.check_unknowns()?;
         let mut accumulator = Accumulator::new(self.unknowns(), self.rows());
         let mut residuals = Vec::with_capacity(self.rows());
         self.linearise_compact(x, |block| {
@@ -91,6 +95,18 @@ impl<'a> Weighted<'a> {
         Ok((accumulator.finish(), residuals))
     }
 
+    /// Fails for more unknowns than one triangle may have: its memory and time grow with their square, and with their third power.
+    fn check_unknowns(&self) -> Result<()> {
+        let count = self.problem.unknowns.len();
+        if count <= MOST_AT_ONCE {
+            return Ok(());
+        }
+        let message =
+            format!("{count} unknowns are too many for one triangle: {MOST_AT_ONCE} at most may be estimated at once");
+        Err(Error::usage(message)
+            .help("estimate fewer, or let own unknowns of artefacts be eliminated (`own_covariances`)"))
+    }
+
     /// The factors of some ranges of rows.
     pub fn factors(
         &self,
@@ -98,6 +114,7 @@ impl<'a> Weighted<'a> {
         weights: Option<&[f64]>,
         ranges: &[IndexRange<EquationIndex>],
     ) -> Result<Vec<Factor>> {
+        self.check_unknowns()?;
         let count = self.unknowns();
         let mut accumulators: Vec<Accumulator> =
             ranges.iter().map(|range| Accumulator::new(count, range.len())).collect();

@@ -1,14 +1,11 @@
 //! Estimates with many own unknowns of artefacts: these are eliminated, one facet or ball after another.
 
 use abbe_core::{Calibration, Error, Owner, Parts, Problem, Result, Unknown};
-use abbe_estimation::{EliminatedRows, confounded};
+use abbe_estimation::{EliminatedRows, MOST_AT_ONCE, confounded};
 
 use crate::GaussNewton;
 use crate::convergence::converged;
 use crate::settings::{OnConfounded, Variance};
-
-/// Unknowns that one triangle may have. Their covariances in `calibration.json` have some 500 MB then.
-const MOST_AT_ONCE: usize = 5_000;
 
 impl GaussNewton {
     /// The rows of a problem if its own unknowns are to be eliminated: there are more of them than `own_covariances`.

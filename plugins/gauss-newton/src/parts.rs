@@ -1,13 +1,8 @@
 //! The estimate from rows in parts, none of which has all.
 
-use std::collections::BTreeMap;
-use std::sync::Arc;
-
-use abbe_core::{
-    AskedOfPart, Calibration, Error, Identifiability, PartEvidence, Parts, Problem, QuestionToRows, Result, Unknown,
-};
+use abbe_core::{Calibration, Error, Identifiability, Parts, Problem, Result, Unknown};
 use abbe_estimation::{
-    EstimatorSolution, Judgement, RowsAtHand, RowsInParts, SolutionOfParts, confounded, identifiability, part_evidence,
+    EstimatorSolution, Judgement, RowsAtHand, RowsInParts, SolutionOfParts, confounded, identifiability,
 };
 use abbe_numerics::{End, HuberPoint, LeastSquares, Options, Solution, huber_point, solve_from, solve_in_passes};
 

@@ -1,6 +1,6 @@
 //! The inputs that vary from trial to trial.
 
-use abbe_core::{Error, Fit, PathItem, Problem, Result, SetIndex};
+use abbe_core::{Error, Fit, Problem, Result, SetIndex};
 use abbe_numerics::Generator;
 use nalgebra::{DMatrix, DVector};
 

@@ -56,15 +56,16 @@ impl<'a> DrawsOfParts<'a> {
 
     /// The estimate of one trial, followed by its considered parameters.
     pub fn trial(&self, trial: u64) -> Result<Vec<f64>> {
-        let seed = self.settings.seed;
+        let Self { fit, parts, settings, problem: at_estimate, .. } = self;
+        let seed = settings.seed;
         let mut generator = Generator::new(seed, trial);
-        let lobing: Vec<_> = self.settings.lobing.iter().map(|setting| setting.draw(&mut generator)).collect();
+        let lobing: Vec<_> = settings.lobing.iter().map(|setting| setting.draw(&mut generator)).collect();
         let drawn = self.shared.draw(&self.problem, &mut generator);
         let change = |_: usize, part: &Problem| {
-            let part = part.with_values(&part.values_of(&self.fit.calibration));
-            let rows = RowErrors::new(self.settings.rows, self.fit, &part, scale(self.fit))?;
+            let part = part.with_values(&part.values_of(&fit.calibration));
+            let rows = RowErrors::new(settings.rows, fit, &part, scale(fit))?;
             let mut errors = rows.draw_by_row(|set, row| Generator::at(seed, trial, place(&part, set, row)));
-            for (index, (setting, lobing)) in self.settings.lobing.iter().zip(&lobing).enumerate() {
+            for (index, (setting, lobing)) in settings.lobing.iter().zip(&lobing).enumerate() {
                 // A part need not have touches of that artefact.
                 if part.set_named(&setting.artefact).is_some_and(|set| !part.sets[set].rows.is_empty()) {
                     Pretravel::new(index, setting, &part)?.add(lobing, &mut errors);
@@ -72,15 +73,15 @@ impl<'a> DrawsOfParts<'a> {
             }
             let mut part = part.disturbed(&errors);
             for (unknown, change) in &drawn.changes {
-                if let Some(own) = counterpart(&self.problem, unknown, &part) {
+                if let Some(own) = counterpart(at_estimate, unknown, &part) {
                     part.shift(&own, *change);
                 }
             }
             Ok(part)
         };
-        let mut problem = self.problem.clone();
+        let mut problem = at_estimate.clone();
         drawn.changes.iter().for_each(|(unknown, change)| problem.shift(unknown, *change));
-        let values = self.fit.estimator.values_of_parts(&problem, &ChangedParts::new(self.parts, &change))?;
+        let values = fit.estimator.values_of_parts(&problem, &ChangedParts::new(*parts, &change))?;
         Ok([values, drawn.considered].concat())
     }
 }

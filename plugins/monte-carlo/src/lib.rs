@@ -85,8 +85,8 @@ impl Estimate for Propagation {
             let mut generator = Generator::new(self.settings.seed, number);
             draws.trial(&mut generator, |problem| fit.estimator.values(problem))
         };
-        let threads = self.settings.threads.map(Whole::get);
-        self.of_trials(fit, &Sampled { trial: &trial, quantities: draws.quantities(), threads }, draws.described())
+        let trial = Trial::OnAnyThread(&trial);
+        self.of_trials(fit, &Sampled { trial, quantities: draws.quantities() }, draws.described())
     }
 
     fn accepts_analysis_of_parts(&self) -> Result<()> {
@@ -103,17 +103,22 @@ impl Estimate for Propagation {
         self.accepts_analysis_of_parts()?;
         let draws = DrawsOfParts::new(&self.settings, fit, parts)?;
         let trial = |number: u64| draws.trial(number);
-        // The parts of a trial are read by all threads.
-        let sampled = Sampled { trial: &trial, quantities: draws.quantities(), threads: Some(1) };
+        let sampled = Sampled { trial: Trial::InTurn(&trial), quantities: draws.quantities() };
         self.of_trials(fit, &sampled, draws.described()?)
     }
 }
 
 /// What a trial gives, by its number.
+enum Trial<'a> {
+    OnAnyThread(&'a (dyn Fn(u64) -> Result<Vec<f64>> + Sync)),
+    /// One after another: all threads read the parts of a trial.
+    InTurn(&'a dyn Fn(u64) -> Result<Vec<f64>>),
+}
+
+/// Trials, each of which gives so many quantities.
 struct Sampled<'a> {
-    trial: &'a (dyn Fn(u64) -> Result<Vec<f64>> + Sync),
+    trial: Trial<'a>,
     quantities: usize,
-    threads: Option<usize>,
 }
 
 impl Propagation {
@@ -214,16 +219,21 @@ impl Propagation {
             let all = self.settings.adaptive.is_none().then_some(self.settings.trials.get());
             fit.problem.monitor.parts_done("trials", done, all);
             // None after a fatal error.
-            let results = in_parallel(chunk, sampled.threads, |&number| {
+            let unless_ended = |trial: &dyn Fn(u64) -> Result<Vec<f64>>, number: u64| {
                 if ended.load(Ordering::Relaxed) {
                     return None;
                 }
-                let values = (sampled.trial)(number);
+                let values = trial(number);
                 if values.as_ref().is_err_and(|error| error.fatal) {
                     ended.store(true, Ordering::Relaxed);
                 }
                 Some(values)
-            });
+            };
+            let threads = self.settings.threads.map(Whole::get);
+            let results: Vec<Option<Result<Vec<f64>>>> = match sampled.trial {
+                Trial::OnAnyThread(trial) => in_parallel(chunk, threads, |&number| unless_ended(&trial, number)),
+                Trial::InTurn(trial) => chunk.iter().map(|&number| unless_ended(trial, number)).collect(),
+            };
             for result in results.into_iter().flatten() {
                 match result {
                     Ok(values) => {

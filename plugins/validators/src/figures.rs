@@ -2,9 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{
-    Calibration, Figure, Findings, Fit, Limit, PathItem, Problem, Quantity, Result, RowIndex, SetIndex, SettingsError,
-};
+use abbe_core::{Calibration, Figure, Findings, Limit, PathItem, Problem, Result, RowIndex, SetIndex, SettingsError};
 
 /// Largest admissible values by [`key`].
 pub type Limits = BTreeMap<String, Limit>;
@@ -140,11 +138,6 @@ impl Sample {
         self.mean_of(|value| value)
     }
 
-    /// Mean absolute value.
-    pub fn mean_absolute(&self) -> f64 {
-        self.mean_of(f64::abs)
-    }
-
     /// Root mean square.
     pub fn rms(&self) -> f64 {
         self.mean_of(|value| value * value).sqrt()
@@ -158,45 +151,7 @@ impl Sample {
     }
 }
 
-/// Residuals in µm and µrad. Lengths and angles are kept apart: they cannot be added.
-#[derive(Debug, Clone, Default)]
-pub struct ResidualSample {
-    /// µm
-    pub lengths: Sample,
-    /// µrad
-    pub angles: Sample,
-}
-
-impl ResidualSample {
-    /// Adds a residual, mm or rad.
-    pub fn push(&mut self, quantity: Quantity, residual: f64) {
-        match quantity {
-            Quantity::Angle => self.angles.0.push(residual * 1e6),
-            _ => self.lengths.0.push(residual * 1e3),
-        }
-    }
-
-    /// The samples that are not empty, with their units; the lengths if both are empty.
-    pub fn samples(&self) -> impl Iterator<Item = (&Sample, &'static str)> {
-        let (lengths, angles) = (!self.lengths.0.is_empty(), !self.angles.0.is_empty());
-        let all = [(lengths || !angles).then_some((&self.lengths, UM)), angles.then_some((&self.angles, URAD))];
-        all.into_iter().flatten()
-    }
-
-    /// Their size as figures.
-    pub fn figures(&self, of: &str) -> Vec<Figure> {
-        let of_one = |(sample, unit): (&Sample, &'static str)| {
-            [
-                Figure::new(of, "max", sample.max_absolute(), unit),
-                Figure::new(of, "mean", sample.mean_absolute(), unit),
-                Figure::new(of, "rms", sample.rms(), unit),
-            ]
-        };
-        self.samples().flat_map(of_one).collect()
-    }
-}
-
-/// The keys of limits of the figures of a [`ResidualSample`], and further ones.
+/// The keys of limits of the figures of residuals, and further ones.
 pub fn residual_limits<'a>(further: &[&'a str]) -> Vec<&'a str> {
     [&["max_um", "mean_um", "rms_um", "max_urad", "mean_urad", "rms_urad"], further].concat()
 }
@@ -251,7 +206,6 @@ mod tests {
     fn statistics_of_a_few_numbers() {
         let sample = Sample(vec![1.0, -4.0, 3.0]);
         assert_eq!((sample.max(), sample.min(), sample.max_absolute(), sample.mean()), (3.0, -4.0, 4.0, 0.0));
-        assert_eq!(sample.mean_absolute(), 8.0 / 3.0);
         assert!((sample.rms() - (26.0_f64 / 3.0).sqrt()).abs() < 1e-15);
         assert!((sample.standard_deviation() - 13.0_f64.sqrt()).abs() < 1e-15);
         assert!(Sample(vec![1.0, f64::NAN, 2.0]).max().is_nan());

@@ -164,13 +164,38 @@ impl Predicted {
     }
 }
 
+/// The rows of a part that have some labels.
+struct Labelled<'a> {
+    stage: &'a str,
+    column: &'a str,
+    labels: &'a [String],
+}
+
+impl Labelled<'_> {
+    /// The set that is asked about, the rows with these labels and the others; none if a part has no rows of that artefact.
+    fn rows(&self, part: &Problem) -> Result<Option<(SetIndex, Vec<RowIndex>, Vec<RowIndex>)>> {
+        let Some(set) = part.set_named(self.stage) else { return Ok(None) };
+        let (held, others) = LabelsOfRows::new(part, set, self.column)?.rows(&part.sets[set].rows, self.labels);
+        Ok(Some((set, held, others)))
+    }
+
+    /// A part without these rows.
+    fn rest(&self, part: &Problem) -> Result<Problem> {
+        Ok(match self.rows(part)? {
+            Some((set, _, others)) => part.with_rows(set, others),
+            None => part.clone(),
+        })
+    }
+}
+
 impl HeldOut<'_> {
     /// The labels of all rows.
     pub fn labels(&self) -> Result<LabelCounts> {
+        let (stage, column) = (self.stage, self.column);
         let look = |part: &Problem| {
             let mut known = LabelCounts::default();
-            if let Some(set) = part.set_named(self.stage) {
-                let labels = LabelsOfRows::new(part, set, self.column)?;
+            if let Some(set) = part.set_named(stage) {
+                let labels = LabelsOfRows::new(part, set, column)?;
                 part.sets[set].rows.iter().filter_map(|row| labels.of(*row)).for_each(|label| known.add(label, 1));
             }
             Ok(known)
@@ -179,28 +204,20 @@ impl HeldOut<'_> {
         Ok(found.unwrap_or_default())
     }
 
-    /// The set of a part whose rows are held out, with the rows of these labels and the others; none if it has no such rows.
-    fn rows(&self, part: &Problem, labels: &[String]) -> Result<Option<(SetIndex, Vec<RowIndex>, Vec<RowIndex>)>> {
-        let Some(set) = part.set_named(self.stage) else { return Ok(None) };
-        let (held, others) = LabelsOfRows::new(part, set, self.column)?.rows(&part.sets[set].rows, labels);
-        Ok(Some((set, held, others)))
+    fn labelled<'a>(&'a self, labels: &'a [String]) -> Labelled<'a> {
+        Labelled { stage: self.stage, column: self.column, labels }
     }
 
     /// Estimates again, by the estimator of the fit, without the rows of these labels.
     pub fn train(&self, labels: &[String]) -> Result<TrainedFit> {
-        let rest = |part: &Problem| {
-            Ok(match self.rows(part, labels)? {
-                Some((set, _, others)) => part.with_rows(set, others),
-                None => part.clone(),
-            })
-        };
+        let held = self.labelled(labels);
         let problem = self.fit.problem.watched_by(self.fit.problem.monitor.without_events());
         let problem = problem.starting_from(&self.fit.calibration);
-        let without = |_: usize, part: &Problem| rest(part);
+        let without = |_: usize, part: &Problem| held.rest(part);
         let nominal = RowsInParts::new(&problem, &ChangedParts::new(self.parts, &without)).at_nominal_geometry()?;
         let undetermined = without_effect(&problem, &nominal);
         let is_lost = |unknown: &Unknown| undetermined.iter().any(|lost| lost.name == unknown.name);
-        let told = |_: usize, part: &Problem| Ok(rest(part)?.without_unknowns(is_lost));
+        let told = |_: usize, part: &Problem| Ok(held.rest(part)?.without_unknowns(is_lost));
         let reduced = problem.without_unknowns(is_lost);
         let calibration = self.fit.estimator.estimate_parts(&reduced, &ChangedParts::new(self.parts, &told));
         TrainedFit::new(self.fit, labels, calibration, undetermined.clone())
@@ -208,8 +225,9 @@ impl HeldOut<'_> {
 
     /// How well an estimate without the rows of these labels predicts them.
     pub fn predict(&self, labels: &[String], trained: &TrainedFit, outliers: &ListedOutliers<'_>) -> Result<Predicted> {
-        let look = |part: &Problem| match self.rows(part, labels)? {
-            Some((set, held, _)) => Predicted::new((part, set), &held, self.column, trained, &outliers.among(part)),
+        let held = self.labelled(labels);
+        let look = |part: &Problem| match held.rows(part)? {
+            Some((set, rows, _)) => Predicted::new((part, set), &rows, held.column, trained, &outliers.among(part)),
             None => Ok(Predicted::default()),
         };
         let found = looked_at(self.parts, &look, &|all: &mut Predicted, later| all.join(later))?;
