@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use abbe_core::{Calibration, Verdict};
+use abbe_core::{Calibration, SimulatedParameter, Verdict};
 use serde_json::{Value, json};
 
 use super::{calibration, run, with_gross_errors};
@@ -24,15 +24,17 @@ fn verdicts(at: &Path, out: &str) -> Vec<Verdict> {
 fn same(what: &str, found: &[Verdict], expected: &[Verdict], apart: f64) {
     assert_eq!(found.len(), expected.len(), "{what}");
     for (found, expected) in found.iter().zip(expected) {
-        assert_eq!((&found.stage, found.status), (&expected.stage, expected.status), "{what}");
+        assert_eq!((&found.stage, found.pass), (&expected.stage, expected.pass), "{what}");
         let names = |of: &Verdict| -> Vec<_> {
             of.figures.iter().map(|own| (own.of.clone(), own.name.clone(), own.unit.clone())).collect()
         };
         assert_eq!(names(found), names(expected), "{what}");
         for (one, other) in found.figures.iter().zip(&expected.figures) {
-            let [one_value, other_value] = [one, other].map(|figure| figure.value.expect("a number"));
-            let off = (one_value - other_value).abs();
-            assert!(off <= apart * other_value.abs(), "{what}: {} {one_value} and {other_value}", one.name);
+            assert_eq!(one.value.is_some(), other.value.is_some(), "{what}: {}", one.name);
+            if let (Some(one_value), Some(other_value)) = (one.value, other.value) {
+                let off = (one_value - other_value).abs();
+                assert!(off <= apart * other_value.abs(), "{what}: {} {one_value} and {other_value}", one.name);
+            }
         }
         assert_eq!(found.remarks, expected.remarks, "{what}");
     }
@@ -59,10 +61,8 @@ fn predictions_and_residuals_are_those_of_rows_that_are_held() {
         Variant(recipe.0.clone()).set("touches", "batch_rows", json!(rows)).write(at);
         let printed = run(at, "batches");
         assert_eq!(printed.status, 0, "{rows}: {}", printed.stderr);
-        let mut found = verdicts(at, "batches");
         // Drifts are tested on rows that are chosen at random: here all.
-        found.iter_mut().zip(&expected).for_each(|(own, other)| assert_eq!(own.stage, other.stage));
-        same(&format!("{rows} rows a batch"), &found, &expected, 1e-6);
+        same(&format!("{rows} rows a batch"), &verdicts(at, "batches"), &expected, 1e-6);
     }
 }
 
@@ -99,16 +99,10 @@ fn folds_that_make_no_sense_are_refused_in_batches() {
             if rows > 0 { recipe.set("touches", "batch_rows", json!(rows)) } else { recipe }.write(folder.path());
             let printed = run(folder.path(), "out");
             assert_eq!(printed.status, 1, "{}", printed.stderr);
-            printed
-                .stderr
-                .lines()
-                .filter(|line| line.contains("folds") || line.contains("no row"))
-                .map(str::to_owned)
-                .collect()
+            let told = printed.stderr.lines().find(|line| line.contains("stage `unseen`"));
+            told.map(str::to_owned).unwrap_or_else(|| panic!("{}", printed.stderr))
         };
-        let (found, expected): (Vec<String>, Vec<String>) = (told(97), told(0));
-        assert!(!expected.is_empty());
-        assert_eq!(found, expected);
+        assert_eq!(told(97), told(0));
     }
 }
 
@@ -139,10 +133,12 @@ fn trials_have_the_distributions_of_rows_that_are_held() {
     let known = |of: &Calibration| of.monte_carlo.clone().expect("trials");
     assert_eq!(known(&one).inputs, known(&held).inputs);
     let (mut ratios, mut count) = (0.0, 0.0);
-    for ((one, other), held) in
-        known(&one).parameters.iter().zip(&known(&other).parameters).zip(&known(&held).parameters)
-    {
-        assert_eq!((&one.name, &other.name), (&held.name, &held.name));
+    // Parts of the rows meet artefacts in another order.
+    let of = |all: &Calibration, name: &str| -> SimulatedParameter {
+        known(all).parameters.into_iter().find(|own| own.name == name).expect("the same parameters")
+    };
+    for held in &known(&held).parameters {
+        let [one, other] = [&one, &other].map(|all| of(all, &held.name));
         let u = held.standard_uncertainty;
         assert!(
             (one.mean - other.mean).abs() < 1e-6 * u

@@ -9,8 +9,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use abbe_core::{
-    Calibration, Class, Error, Estimate, EstimateSource, Fit, FitReport, Identifiability, Kind, Owner, Problem, Result,
-    UncertaintyBudget, Unknown,
+    Calibration, Class, Error, Estimate, EstimateSource, Fit, FitReport, Identifiability, Kind, Owner, Parts, Problem,
+    Result, UncertaintyBudget, Unknown,
 };
 use abbe_estimation::{MOST_AT_ONCE, calibration};
 use abbe_recipe::Stage;
@@ -68,6 +68,10 @@ impl Estimate for Unsolved {
         Ok(self.expected(problem))
     }
 
+    fn estimate_parts(&self, problem: &Problem, _: &dyn Parts) -> Result<Calibration> {
+        Ok(self.expected(problem))
+    }
+
     fn identify(&self, problem: &Problem) -> Result<Identifiability> {
         Err(Error::data(format!("{} is not solved in a rehearsal", problem.name)))
     }
@@ -116,7 +120,8 @@ impl Prepared {
                 of.iter().filter_map(other).collect::<Result<_>>().or_else(|error| self.located(stage, Err(error)))?;
             let judged: Vec<&Fit> = if others.is_empty() { of } else { others.iter().collect() };
             // A rehearsal before a run does not read all batches only to forget what is said of them.
-            if !checks && self.has_passes(stage) {
+            let is_of_parts = validator.accepts_rows_in_parts() && judged.iter().any(|fit| batches.has(&fit.name));
+            if !checks && (self.has_passes(stage) || is_of_parts) {
                 continue;
             }
             // Rows beyond the travel end a run before it begins.
@@ -124,7 +129,11 @@ impl Prepared {
                 let evidence: Vec<_> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
                 self.located(stage, in_travel(&judged, &evidence))?;
             }
-            let said = self.said_of(stage, &judged, data, batches).map(drop);
+            let plain = batches.without_rows(&judged)?;
+            let said = match is_of_parts {
+                true => self.said_of_parts(stage, &judged, data, batches).map(drop),
+                false => self.said_of(stage, &plain.iter().collect::<Vec<_>>(), data, batches).map(drop),
+            };
             let is_known = |name: &String| {
                 self.saved.contains_key(name) || self.recipe_stage(name).is_ok_and(|of| self.is_made_at_once(of))
             };
@@ -135,7 +144,7 @@ impl Prepared {
             self.located(stage, said)?;
         }
         for stage in self.stages(Kind::Export).filter(|stage| is_asked(stage)) {
-            for fit in named(stage.reference("of"), &fits) {
+            for fit in &batches.without_rows(&named(stage.reference("of"), &fits))? {
                 let said = self.exporters[&stage.name].export(&fit.calibration, fit.problem.model.as_ref()).map(drop);
                 self.located(stage, unless_by_value(said, false))?;
             }
@@ -172,9 +181,6 @@ impl Prepared {
         let budget = found.get(&stage.name).and_then(|found| found.uncertainty.clone());
         let estimator = Unsolved { budget };
         let calibration = estimator.expected(problem);
-        if self.has_batches(stage) {
-            return Ok(fit_without_rows(calibration, problem.model.clone(), Arc::new(estimator)).ok());
-        }
         let (name, problem) = (stage.name.clone(), Arc::new(problem.clone()));
         Ok(Some(Fit { name, problem, estimator: Arc::new(estimator), calibration }))
     }

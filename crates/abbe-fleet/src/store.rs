@@ -23,6 +23,9 @@ const LARGEST: u64 = 4 << 30;
 /// Bytes of the longest first line.
 const LONGEST_HEAD: u64 = 4096;
 
+/// What the names of files begin with that are not written yet.
+const HALF_WRITTEN: &str = ".abbe-partial-";
+
 /// A folder of results.
 #[derive(Debug, Clone)]
 pub struct Store {
@@ -119,7 +122,14 @@ impl Store {
 
     /// Removes what killed workers have left half written.
     pub fn clear(&self) {
-        for entry in fs::read_dir(self.half_written()).into_iter().flatten().flatten() {
+        // Behind a link lies a folder of somebody else.
+        let is_own = fs::symlink_metadata(self.half_written()).is_ok_and(|found| found.is_dir());
+        let all = is_own.then(|| fs::read_dir(self.half_written()).ok()).flatten();
+        for entry in all.into_iter().flatten().flatten() {
+            let is_file = entry.file_type().is_ok_and(|kind| kind.is_file());
+            if !is_file || !entry.file_name().to_string_lossy().starts_with(HALF_WRITTEN) {
+                continue;
+            }
             let abandoned = File::open(entry.path()).is_ok_and(|file| file.try_lock().is_ok());
             if abandoned {
                 let _ = fs::remove_file(entry.path());
@@ -152,6 +162,7 @@ impl Store {
 
     fn try_to_write(&self, path: &Path, parts: &[&[u8]]) -> io::Result<()> {
         let mut builder = tempfile::Builder::new();
+        builder.prefix(HALF_WRITTEN).rand_bytes(12);
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
         let mut file = builder.tempfile_in(self.half_written())?;
@@ -202,8 +213,21 @@ mod tests {
         assert_eq!(store.get(&other), None);
         store.put(&job, b"").unwrap();
         assert_eq!(store.get(&job).as_deref(), Some(&b""[..]));
-        fs::write(folder.path().join("results/new/left"), "half").unwrap();
+        let new = folder.path().join("results/new");
+        fs::write(new.join(format!("{HALF_WRITTEN}0123456789ab")), "half").unwrap();
+        // Files of somebody else stay, behind a link too.
+        fs::write(new.join("notes.txt"), "mine").unwrap();
         store.clear();
-        assert_eq!(fs::read_dir(folder.path().join("results/new")).unwrap().count(), 0);
+        assert_eq!(fs::read_dir(&new).unwrap().count(), 1);
+        #[cfg(unix)]
+        {
+            let mine = folder.path().join("mine");
+            fs::create_dir(&mine).unwrap();
+            fs::write(mine.join(format!("{HALF_WRITTEN}0123456789ab")), "mine").unwrap();
+            fs::remove_dir_all(&new).unwrap();
+            std::os::unix::fs::symlink(&mine, &new).unwrap();
+            store.clear();
+            assert_eq!(fs::read_dir(&mine).unwrap().count(), 1);
+        }
     }
 }
