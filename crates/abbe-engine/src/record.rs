@@ -159,6 +159,10 @@ impl RunRecord {
         if let Some((file, sha256)) = files.chain(libraries).find(|(_, sha256)| !is_hash(sha256)) {
             return Err(Error::data(format!("`{file}`: `{sha256}` is no SHA-256, which has 64 hexadecimal digits")));
         }
+        let mut names = BTreeSet::new();
+        if let Some(twice) = record.outputs.iter().find(|output| !names.insert(&output.file)) {
+            return Err(Error::data(format!("`outputs` lists `{}` twice", twice.file)));
+        }
         match record.duration_s >= 0.0 {
             true => Ok(record),
             false => Err(Error::data(format!("a run cannot have taken {} s", record.duration_s))),

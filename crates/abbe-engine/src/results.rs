@@ -106,6 +106,9 @@ impl ResultFolder {
         let free = written.iter().try_for_each(|name| self.can_take(name));
         // A second name of the same file, so that it is in both folders while these change places.
         let linked = free.and_then(|()| self.linked(staging.path()));
+        if linked.is_ok() {
+            self.folders_as_they_were(staging.path());
+        }
         let (staged, _lock) = staging.keep();
         // From here on no cleaning takes the folder for one that a killed run has left: it may be the old one.
         let named = beside(&self.place, "new").and_then(|new| fs::rename(&staged, &new).map(|()| new));
@@ -163,8 +166,31 @@ impl ResultFolder {
         Ok(linked)
     }
 
+    /// The folder itself, and those in it that somebody else made, relative to it, the innermost first.
+    fn folders_of_others(&self) -> Vec<PathBuf> {
+        let mut folders = BTreeSet::from([PathBuf::new()]);
+        for name in &self.others {
+            let is_folder = self.place.join(name).symlink_metadata().is_ok_and(|found| found.is_dir());
+            folders.extend(name.ancestors().skip(usize::from(!is_folder)).map(Path::to_path_buf));
+        }
+        folders.into_iter().rev().collect()
+    }
+
+    /// Gives folders of others in `staged` the permissions, the owner and the times that they have, as far as that is allowed.
+    fn folders_as_they_were(&self, staged: &Path) {
+        for name in self.folders_of_others() {
+            let _ = as_it_was(&self.place.join(&name), &staged.join(&name), !name.as_os_str().is_empty());
+        }
+    }
+
     /// Moves what is not in both folders out of the old one, then removes what is ours in it, and the folder.
     fn emptied(&self, old: &Path, linked: &BTreeSet<PathBuf>) -> io::Result<()> {
+        // What is removed in a moment need not stay without permission to write.
+        #[cfg(unix)]
+        for name in self.folders_of_others() {
+            use std::os::unix::fs::PermissionsExt;
+            let _ = fs::set_permissions(old.join(name), fs::Permissions::from_mode(0o700));
+        }
         for name in self.others.iter().filter(|name| !linked.contains(*name)) {
             move_over(&old.join(name), &self.place.join(name))?;
         }
@@ -183,6 +209,28 @@ impl ResultFolder {
         }
         fs::remove_dir_all(old)
     }
+}
+
+/// Gives a folder the permissions and the owner of another one, and its times if that is asked.
+fn as_it_was(old: &Path, new: &Path, with_times: bool) -> io::Result<()> {
+    let before = old.symlink_metadata()?;
+    if !(before.is_dir() && new.symlink_metadata()?.is_dir()) {
+        return Ok(());
+    }
+    if with_times {
+        let times = fs::FileTimes::new().set_accessed(before.accessed()?).set_modified(before.modified()?);
+        fs::File::open(new)?.set_times(times)?;
+    }
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::{MetadataExt, chown};
+        let now = new.symlink_metadata()?;
+        if (now.uid(), now.gid()) != (before.uid(), before.gid()) {
+            // Others than the owner and root may not.
+            let _ = chown(new, Some(before.uid()), Some(before.gid()));
+        }
+    }
+    fs::set_permissions(new, before.permissions())
 }
 
 /// Puts written files in the place of the folder of results `place`, as [`ResultFolder::replace_by`]; beside it if something else is there.

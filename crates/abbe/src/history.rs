@@ -18,8 +18,8 @@ use serde_json::{Value, json};
 pub use check::Check;
 #[cfg(feature = "serve")]
 pub use check::{Question, estimate_of};
-pub use place::read;
 use place::{add_all, named};
+pub use place::{can_add, read};
 
 use crate::interrupt;
 use crate::libraries::Libraries;

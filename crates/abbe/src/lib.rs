@@ -212,6 +212,7 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             interrupt::end_after(time_limit, interrupt::GRACE, json)?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             prepared.can_write(&out)?;
+            prepared.recipe.history.iter().try_for_each(|place| history::can_add(&here.place(place)))?;
             let mut outcome = prepared.run(&monitor)?;
             let made = report::attach(&mut outcome);
             bar.finish_and_clear();
@@ -249,6 +250,7 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             interrupt::cancel_on_signal(Monitor::default())?;
             interrupt::end_after(time_limit, Duration::ZERO, json)?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
+            prepared.recipe.history.iter().try_for_each(history::can_add)?;
             let planned = prepared.check()?;
             let status = if planned.iter().all(|planned| planned.accepted) { 0 } else { 1 };
             let text = match json {
@@ -328,6 +330,7 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             abbe_plugin::serve(&file, &sha256, &allowance).map(|()| (String::new(), 0))
         }
         Command::Plugins { json, pages } => {
+            interrupt::cancel_on_signal(Monitor::default())?;
             let registry = libraries.registry(None)?;
             if let Some(folder) = pages {
                 return pages::write(&registry, &folder).map(|text| (text, 0));

@@ -10,10 +10,18 @@ pub fn write(registry: &Registry, folder: &Path) -> Result<String> {
     let of_plugin = |plugin| (abbe_recipe::page_name(plugin), abbe_recipe::page(plugin));
     let mut pages: Vec<(String, String)> = registry.iter().map(of_plugin).collect();
     pages.push(("README.md".to_owned(), abbe_recipe::index(registry.iter())));
-    let wrong = |file: &Path, error: io::Error| Error::usage(format!("{}: {error}", file.display()));
+    let wrong = |file: &Path, error: io::Error| {
+        let why = match error.kind() {
+            io::ErrorKind::NotADirectory | io::ErrorKind::AlreadyExists => {
+                "it is there already, and is no folder".to_owned()
+            }
+            _ => abbe_files::why(&error),
+        };
+        Error::usage(format!("{}: {why}", file.display())).help("name another folder")
+    };
     for (name, _) in &pages {
         let file = folder.join(name);
-        match std::fs::read(&file) {
+        match abbe_files::read(&file, abbe_files::LARGEST_TEXT) {
             Ok(there) if !there.starts_with(abbe_recipe::PAGE_MARK.as_bytes()) => {
                 let message = format!("{} is there and is no page of a plugin; it is not replaced", file.display());
                 return Err(Error::usage(message).help("name another folder"));
@@ -22,9 +30,10 @@ pub fn write(registry: &Registry, folder: &Path) -> Result<String> {
             _ => {}
         }
     }
-    std::fs::create_dir_all(folder).map_err(|error| wrong(folder, error))?;
-    for (name, text) in &pages {
-        crate::outputs::replace(&folder.join(name), text)?;
-    }
+    // A signal waits until all are there.
+    crate::interrupt::while_writing(|| {
+        std::fs::create_dir_all(folder).map_err(|error| wrong(folder, error))?;
+        pages.iter().try_for_each(|(name, text)| crate::outputs::replace(&folder.join(name), text))
+    })?;
     Ok(format!("{} pages in {}\n", pages.len() - 1, folder.display()))
 }

@@ -26,6 +26,16 @@ pub fn read(place: &Path) -> Result<History> {
     }
 }
 
+/// Fails for a file that is there and is no history, before anything is made for it.
+pub fn can_add(place: &HistoryPlace) -> Result<()> {
+    match place {
+        HistoryPlace::File(path) if path.metadata().is_ok_and(|found| found.len() > 0 || !found.is_file()) => {
+            History::read(path).map(drop)
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Adds entries.
 pub(super) fn add_all(place: &HistoryPlace, entries: &[Entry]) -> Result<Vec<Added>> {
     match place {
