@@ -236,9 +236,8 @@ impl<'a> InBatches<'a> {
         let monitor = &monitor.of_stage(ingest);
         let all: Vec<usize> = (0..self.count(ingest)).collect();
         let bound = AtomicU64::new(u64::MAX);
-        let first = |batch: &usize| {
-            self.first((ingest, *batch), bound.load(Ordering::Relaxed), &estimates, inputs, monitor)
-        };
+        let first =
+            |batch: &usize| self.first((ingest, *batch), bound.load(Ordering::Relaxed), &estimates, inputs, monitor);
         let join = |all: &mut First, own: First| {
             all.join(own)?;
             all.candidates.iter().for_each(|all| bound.store(all.bound(), Ordering::Relaxed));

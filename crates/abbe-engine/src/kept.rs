@@ -171,7 +171,8 @@ impl Run {
             let has_lines = usize::from(one.line > 0);
             (one.file, one.line + has_lines, one.row + 1) == (other.file, other.line, other.row)
         };
-        let run = |rows: &[RowOrigin]| Self { rows: rows.len(), file: rows[0].file, line: rows[0].line, row: rows[0].row };
+        let run =
+            |rows: &[RowOrigin]| Self { rows: rows.len(), file: rows[0].file, line: rows[0].line, row: rows[0].row };
         origins.chunk_by(is_next).map(run).collect()
     }
 
