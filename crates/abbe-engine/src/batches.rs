@@ -5,7 +5,6 @@
 //! whichever thread was first: so results do not depend on the number of threads.
 
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use abbe_core::{
@@ -23,7 +22,6 @@ use crate::prepare::Prepared;
 use crate::problems::Taken;
 use crate::record::{FileRecord, Remark};
 use crate::run::Datasets;
-use crate::sample::Candidates;
 use crate::saved::fit_without_rows;
 use crate::statuses;
 
@@ -68,8 +66,6 @@ struct First {
     taken: Taken,
     /// Its rows, and how many rows are left out because a number was not measured.
     rows: [usize; 2],
-    /// Rows that may be chosen at random.
-    candidates: Option<Candidates>,
 }
 
 impl First {
@@ -84,13 +80,7 @@ impl First {
             self.taken.entry(ingest).or_default().extend(rows);
         }
         self.rows.iter_mut().zip(other.rows).for_each(|(all, own)| *all += own);
-        match (&mut self.candidates, other.candidates) {
-            (Some(all), Some(own)) => all.append(own),
-            (all, own) => {
-                *all = all.take().or(own);
-                Ok(())
-            }
-        }
+        Ok(())
     }
 }
 
@@ -153,10 +143,7 @@ impl<'a> InBatches<'a> {
         };
         let (mut all, mut rows) = (First::default(), BTreeMap::new());
         for ingest in batches.sources.keys().filter(|ingest| !prepared.is_only_looked_at(ingest)) {
-            let mut first = batches.first_pass(ingest, inputs, monitor)?;
-            if let Some(candidates) = first.candidates.take() {
-                batches.keep_chosen(ingest, &candidates, first.rows[0]);
-            }
+            let first = batches.first_pass(ingest, inputs, monitor)?;
             rows.insert(ingest.clone(), first.rows[0]);
             all.join(first)?;
         }
@@ -235,16 +222,9 @@ impl<'a> InBatches<'a> {
         }
         let monitor = &monitor.of_stage(ingest);
         let all: Vec<usize> = (0..self.count(ingest)).collect();
-        let bound = AtomicU64::new(u64::MAX);
-        let first =
-            |batch: &usize| self.first((ingest, *batch), bound.load(Ordering::Relaxed), &estimates, inputs, monitor);
-        let join = |all: &mut First, own: First| {
-            all.join(own)?;
-            all.candidates.iter().for_each(|all| bound.store(all.bound(), Ordering::Relaxed));
-            Ok(())
-        };
+        let first = |batch: &usize| self.first(ingest, *batch, &estimates, inputs, monitor);
         let told = |done: usize| monitor.parts_done("batches", done, Some(all.len()));
-        let found = in_order(&all, free_threads(), first, join, told);
+        let found = in_order(&all, free_threads(), first, First::join, told);
         let first = self.prepared.located(stage, found)?.unwrap_or_default();
         let [rows, left_out] = first.rows;
         tell_left_out(ingest, left_out);
@@ -254,20 +234,18 @@ impl<'a> InBatches<'a> {
         }
     }
 
-    /// What one batch is. Estimates whose first data set this is have the rows that are held with the first batch. `bound` is that of
-    /// candidates.
+    /// What one batch is. Estimates whose first data set this is have the rows that are held with the first batch.
     fn first(
         &self,
-        (ingest, batch): (&str, usize),
-        bound: u64,
+        ingest: &str,
+        batch: usize,
         estimates: &[(&Stage, bool)],
         inputs: &[FileRecord],
         monitor: &Monitor,
     ) -> Result<First> {
         monitor.check()?;
         let (data, left_out) = self.with_batch(ingest, batch)?;
-        let candidates = Some(Candidates::of(&data[ingest], bound));
-        let mut first = First { rows: [data[ingest].rows(), left_out], candidates, ..First::default() };
+        let mut first = First { rows: [data[ingest].rows(), left_out], ..First::default() };
         let mut taken = Taken::default();
         for (stage, is_first) in estimates {
             let with_others = *is_first && batch == 0;

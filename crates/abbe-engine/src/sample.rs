@@ -1,7 +1,7 @@
 //! Rows that are chosen at random of data sets that are read in batches: where their estimates begin, and what tables of residuals and
 //! charts show of them.
 
-use std::path::Path;
+use std::path::PathBuf;
 use std::sync::{Arc, PoisonError};
 
 use abbe_core::{DataRow, Dataset, Error, Fit, Monitor, Problem, Result, RowOrigin, free_threads};
@@ -73,92 +73,28 @@ impl InBatches<'_> {
         Ok(chosen)
     }
 
-    /// Keeps the chosen ones of candidates, if all of them are there.
-    pub fn keep_chosen(&self, ingest: &str, candidates: &Candidates, all: usize) {
-        let mut known = self.chosen.lock().unwrap_or_else(PoisonError::into_inner);
-        known.extend(candidates.chosen(all).map(|chosen| (ingest.to_owned(), Arc::new(chosen))));
-    }
-
     fn choose(&self, ingest: &str, monitor: &Monitor) -> Result<Dataset> {
         let all = self.rows_of(ingest);
         let batches: Vec<usize> = (0..self.count(ingest)).collect();
         let of_batch = |batch: &usize| {
             monitor.check()?;
             let (data, _) = self.with_batch(ingest, *batch)?;
-            Ok(below(&data[ingest], bound_of(all)))
+            let data = &data[ingest];
+            let is_chosen = |row: &DataRow| is_chosen(data.origins[*row], &data.files, all);
+            Ok(data.of_rows(&data.row_indices().filter(is_chosen).collect::<Vec<_>>()))
         };
         let found = in_order(&batches, free_threads(), of_batch, Dataset::append, |_| ())?;
         found.ok_or_else(|| Error::data("there are no rows").stage(ingest))
     }
 }
 
-/// Rows among which the chosen ones are, gathered while all rows are read the first time and nobody knows how many there are.
-pub(crate) struct Candidates {
-    rows: Dataset,
-    /// The largest number of a row that is gathered.
-    bound: u64,
-}
-
-/// Most candidates, a few times as many as are chosen: the bound is lowered before it reaches that of the chosen ones.
-const CANDIDATES: usize = 3 * CHOSEN;
-
-impl Candidates {
-    /// Those of a batch; `bound` is that of other batches, and becomes lower with more of them.
-    pub fn of(data: &Dataset, bound: u64) -> Self {
-        let mut candidates = Self { rows: below(data, bound), bound };
-        candidates.lower();
-        candidates
-    }
-
-    /// Adds those of the next batch.
-    pub fn append(&mut self, more: Self) -> Result<()> {
-        self.bound = self.bound.min(more.bound);
-        self.rows.append(more.rows)?;
-        self.lower();
-        Ok(())
-    }
-
-    fn lower(&mut self) {
-        while self.rows.rows() > CANDIDATES {
-            self.bound /= 2;
-            self.rows = below(&self.rows, self.bound);
-        }
-    }
-
-    /// The largest number of a row that is gathered.
-    pub fn bound(&self) -> u64 {
-        self.bound
-    }
-
-    /// The chosen rows of all; none if not all of them are here.
-    fn chosen(&self, all: usize) -> Option<Dataset> {
-        let bound = bound_of(all);
-        (bound <= self.bound).then(|| below(&self.rows, bound))
-    }
-}
-
-/// The rows whose numbers are no larger than a bound.
-fn below(data: &Dataset, bound: u64) -> Dataset {
-    let files: Vec<u64> = data.files.iter().map(|file| number_of_file(file)).collect();
-    let is_below = |row: &DataRow| number(data.origins[*row], &files) <= bound;
-    data.of_rows(&data.row_indices().filter(is_below).collect::<Vec<_>>())
-}
-
-/// The largest number of a row that is chosen of so many.
-fn bound_of(all: usize) -> u64 {
-    if all <= CHOSEN { u64::MAX } else { u64::MAX / all as u64 * CHOSEN as u64 }
-}
-
-/// The number of a row, which decides whether it is chosen: its file and its place there give it, whatever batch it is in. Files that
+/// Whether a row of a data set is among the chosen ones of all: its file and its place there decide, whatever batch it is in. Files that
 /// repeat a programme give other rows of it.
-fn number(origin: RowOrigin, files: &[u64]) -> u64 {
-    mixed(files[origin.file] ^ mixed(origin.row as u64))
-}
-
-fn number_of_file(file: &Path) -> u64 {
+fn is_chosen(origin: RowOrigin, files: &[PathBuf], all: usize) -> bool {
     // The name without its folders: the same rows wherever a recipe lies.
-    let name = file.file_name().map(|name| name.as_encoded_bytes()).unwrap_or_default();
-    name.iter().fold(SEED, |seed, byte| mixed(seed ^ u64::from(*byte)))
+    let name = files[origin.file].file_name().map(|name| name.as_encoded_bytes()).unwrap_or_default();
+    let file = name.iter().fold(SEED, |seed, byte| mixed(seed ^ u64::from(*byte)));
+    all <= CHOSEN || mixed(file ^ mixed(origin.row as u64)) % (all as u64) < CHOSEN as u64
 }
 
 /// A number as good as a random one (the finaliser of SplitMix64: Steele, Lea and Flood 2014, OOPSLA).
@@ -171,44 +107,19 @@ fn mixed(number: u64) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use std::path::PathBuf;
-
     use super::*;
 
     #[test]
     fn about_as_many_rows_are_chosen_as_wanted() {
-        let files = ["monday.csv", "tuesday.csv"].map(|file| number_of_file(Path::new(file)));
+        let files = ["monday.csv", "tuesday.csv"].map(PathBuf::from);
         for all in [1, CHOSEN, 3 * CHOSEN, 1_000_000] {
             let origin = |row: usize| RowOrigin { file: row % 2, line: row + 1, row: row / 2 };
-            let is_chosen = |row: &usize| number(origin(*row), &files) <= bound_of(all);
-            let chosen: Vec<usize> = (1..=all).filter(is_chosen).collect();
+            let chosen: Vec<usize> = (1..=all).filter(|row| is_chosen(origin(*row), &files, all)).collect();
             let allowed = if all <= CHOSEN { 0 } else { CHOSEN / 20 };
             assert!(chosen.len().abs_diff(all.min(CHOSEN)) <= allowed, "{} of {all}", chosen.len());
             // The rows of one file say nothing of those of another one.
             let both = chosen.iter().filter(|row| *row % 2 == 0 && chosen.binary_search(&(*row + 1)).is_ok());
             assert!(all <= 3 * CHOSEN || both.count() < CHOSEN / 100);
-        }
-    }
-
-    #[test]
-    fn candidates_have_the_chosen_rows() {
-        let files = vec![PathBuf::from("monday.csv")];
-        let batch = |first: usize, rows: usize| Dataset {
-            origins: (first..first + rows).map(|row| RowOrigin { file: 0, line: row + 1, row }).collect(),
-            files: files.clone(),
-            ..Dataset::default()
-        };
-        for all in [10, CHOSEN, CHOSEN + 1, 2 * CHOSEN, CANDIDATES + 7, 300_000] {
-            let mut batches = (1..=all).step_by(7_000).map(|first| batch(first, 7_000.min(all + 1 - first)));
-            let mut candidates = Candidates::of(&batches.next().unwrap(), u64::MAX);
-            for batch in batches {
-                // Other threads may not know of the present bound yet.
-                let bound = candidates.bound().saturating_mul(2);
-                candidates.append(Candidates::of(&batch, bound)).unwrap();
-                assert!(candidates.rows.rows() <= CANDIDATES);
-            }
-            let chosen = candidates.chosen(all).expect("all of them are there");
-            assert_eq!(chosen.origins, below(&batch(1, all), bound_of(all)).origins);
         }
     }
 }
