@@ -16,7 +16,7 @@ pub(crate) type Digests = BTreeMap<String, String>;
 
 /// The rows that a problem uses.
 pub(crate) fn of_problem(problem: &Problem, digests: &Digests) -> Vec<DataRecord> {
-    let mut all: BTreeMap<String, BTreeSet<usize>> = BTreeMap::new();
+    let mut all: BTreeMap<String, Vec<usize>> = BTreeMap::new();
     for set in &problem.sets {
         let layout = &set.observations.info().layout;
         let data = &layout.data;
@@ -30,7 +30,12 @@ pub(crate) fn of_problem(problem: &Problem, digests: &Digests) -> Vec<DataRecord
             all.entry(file.display().to_string()).or_default().extend(rows);
         }
     }
-    of_rows(all, digests)
+    let sorted = |(file, mut rows): (String, Vec<usize>)| {
+        rows.sort_unstable();
+        rows.dedup();
+        (file, runs(rows))
+    };
+    of_runs(all.into_iter().map(sorted).collect(), digests)
 }
 
 /// Records of the rows of files.

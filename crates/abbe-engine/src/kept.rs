@@ -3,7 +3,6 @@
 //! To read text again takes as long as all else that a pass does. The file has no name, so that nothing of it stays, and is in the
 //! folder for temporary files (`TMPDIR`). Where it cannot be written, files are read again.
 
-use std::collections::HashMap;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::PathBuf;
@@ -37,8 +36,7 @@ struct Store {
 #[derive(Serialize, Deserialize)]
 struct Content {
     columns: Vec<Cells>,
-    /// File, line and row of every row.
-    origins: Vec<(usize, usize, usize)>,
+    origins: Vec<Run>,
     files: Vec<PathBuf>,
     averaged: bool,
     is_log: bool,
@@ -47,11 +45,21 @@ struct Content {
     left_out: usize,
 }
 
-/// The cells of a column. Labels repeat: each is kept once, and every row has its index.
+/// Rows that stand one below the other in a file.
+#[derive(Serialize, Deserialize)]
+struct Run {
+    rows: usize,
+    file: usize,
+    /// Line and row of the first; a file without lines has lines of zero.
+    line: usize,
+    row: usize,
+}
+
+/// The cells of a column; labels one after another, with the bytes of each.
 #[derive(Serialize, Deserialize)]
 enum Cells {
     Numbers(Vec<f64>),
-    Labels { distinct: Vec<String>, rows: Vec<usize> },
+    Labels { text: String, lengths: Vec<usize> },
 }
 
 impl Prepared {
@@ -129,7 +137,7 @@ impl Content {
         let Batch { data, left_out } = batch;
         Self {
             columns: data.columns.iter().map(|column| Cells::of(&column.values)).collect(),
-            origins: data.origins.iter().map(|origin| (origin.file, origin.line, origin.row)).collect(),
+            origins: Run::of(&data.origins),
             files: data.files.clone(),
             averaged: data.averaged,
             is_log: data.is_log,
@@ -140,15 +148,14 @@ impl Content {
 
     /// The batch; none if what was kept is not whole.
     fn batch(self, headers: &[ColumnHeader]) -> Option<Batch> {
-        let rows = self.origins.len();
+        let rows = self.origins.iter().map(|run| run.rows).sum();
         let columns = headers.iter().zip(self.columns);
         let columns =
             columns.map(|(header, cells)| Some(Column { header: header.clone(), values: cells.values(rows)? }));
-        let origins = self.origins.into_iter().map(|(file, line, row)| RowOrigin { file, line, row });
         let tips = self.tips.into_iter().map(|(diameter, file, line)| StatedTip { diameter, file, line });
         let data = Dataset {
             columns: columns.collect::<Option<Vec<Column>>>().filter(|columns| columns.len() == headers.len())?,
-            origins: origins.collect(),
+            origins: self.origins.iter().flat_map(Run::origins).collect(),
             files: self.files,
             averaged: self.averaged,
             is_log: self.is_log,
@@ -158,28 +165,45 @@ impl Content {
     }
 }
 
+impl Run {
+    fn of(origins: &[RowOrigin]) -> Vec<Self> {
+        let is_next = |one: &RowOrigin, other: &RowOrigin| {
+            let has_lines = usize::from(one.line > 0);
+            (one.file, one.line + has_lines, one.row + 1) == (other.file, other.line, other.row)
+        };
+        let run =
+            |rows: &[RowOrigin]| Self { rows: rows.len(), file: rows[0].file, line: rows[0].line, row: rows[0].row };
+        origins.chunk_by(is_next).map(run).collect()
+    }
+
+    fn origins(&self) -> impl Iterator<Item = RowOrigin> + use<> {
+        let Self { rows, file, line, row } = *self;
+        let has_lines = usize::from(line > 0);
+        (0..rows).map(move |next| RowOrigin { file, line: line + has_lines * next, row: row + next })
+    }
+}
+
 impl Cells {
     fn of(values: &Values) -> Self {
-        let labels = match values {
-            Values::Numbers(numbers) => return Self::Numbers(numbers.clone()),
-            Values::Labels(labels) => labels,
-        };
-        let (mut known, mut distinct): (HashMap<&str, usize>, Vec<String>) = Default::default();
-        let mut rows = Vec::with_capacity(labels.len());
-        for label in labels {
-            rows.push(*known.entry(label).or_insert_with(|| {
-                distinct.push(label.clone());
-                distinct.len() - 1
-            }));
+        match values {
+            Values::Numbers(numbers) => Self::Numbers(numbers.clone()),
+            Values::Labels(labels) => {
+                Self::Labels { text: labels.concat(), lengths: labels.iter().map(String::len).collect() }
+            }
         }
-        Self::Labels { distinct, rows }
     }
 
     fn values(self, count: usize) -> Option<Values> {
         match self {
             Self::Numbers(numbers) => (numbers.len() == count).then_some(Values::Numbers(numbers)),
-            Self::Labels { distinct, rows } => {
-                let labels: Option<Vec<String>> = rows.into_iter().map(|row| distinct.get(row).cloned()).collect();
+            Self::Labels { text, lengths } => {
+                let mut rest = text.as_str();
+                let label = |length: usize| {
+                    let (own, others) = rest.split_at_checked(length)?;
+                    rest = others;
+                    Some(own.to_owned())
+                };
+                let labels: Option<Vec<String>> = lengths.into_iter().map(label).collect();
                 labels.filter(|labels| labels.len() == count).map(Values::Labels)
             }
         }

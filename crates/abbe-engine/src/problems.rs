@@ -22,7 +22,8 @@ pub(crate) type Taken = BTreeMap<String, BTreeSet<DataRow>>;
 pub(crate) fn take(taken: &mut Taken, ingest: &str, set: &ObservationSet) {
     let layout = &set.info().layout;
     let rows = layout.rows.iter().filter_map(|row| row.data_row);
-    taken.entry(ingest.to_owned()).or_default().extend(rows.chain(layout.merged.iter().copied()));
+    let mut rows = rows.chain(layout.merged.iter().copied()).collect();
+    taken.entry(ingest.to_owned()).or_default().append(&mut rows);
 }
 
 impl Prepared {
@@ -172,7 +173,8 @@ impl Prepared {
     pub(crate) fn nothing_left_over(&self, data: &Datasets, taken: &Taken) -> Result<()> {
         for (ingest, rows) in taken {
             let data = &data[ingest];
-            let Some(row) = data.row_indices().find(|row| !rows.contains(row)) else { continue };
+            let left_over = || data.row_indices().find(|row| !rows.contains(row));
+            let Some(row) = (rows.len() < data.rows()).then(left_over).flatten() else { continue };
             let (feature, ignore) = match data.labels("feature") {
                 Some(labels) => (
                     format!("feature {} is taken by no artefact", labels[row]),

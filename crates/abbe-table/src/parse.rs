@@ -345,7 +345,8 @@ impl<'a> Records<'a> {
             }
             self.width.get_or_insert(found);
             // A superfluous quotation mark makes such a cell; it would contain several rows.
-            if let Some(cell) = self.cells.iter().position(|cell| cell.contains(['\n', '\r'])) {
+            let is_open = newlines(self.cells.as_slice()) > 0;
+            if let Some(cell) = self.cells.iter().position(|cell| is_open && cell.contains(['\n', '\r'])) {
                 let error = Error::data("a quotation mark is not closed in its line")
                     .help("close it, or take it out; a text with a quotation mark in it has it twice");
                 return Err(self.at_cell(error, cell));
