@@ -46,7 +46,7 @@ pub use quantities::Quantities;
 pub use registry::{Build, Constructor, Context, EstimateSource, Kind, Origin, Plugin, Provider, Registry};
 pub use stage::{
     Artefact, Batch, Batches, CommandCorrection, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Parts,
-    Passes, QuestionToRows, Validate,
+    Passes, QuestionToRows, Validate, ValuesOf,
 };
 pub use table::{Cell, ColumnCells, Field, RowsOfTable, SharedCells, Table};
 pub use uncertainty::{CovarianceBlock, EquationUncertainty, PooledRepeatability};

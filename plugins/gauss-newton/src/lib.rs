@@ -8,12 +8,13 @@ mod parts;
 mod prediction;
 mod select;
 mod settings;
+mod trials;
 
 use std::collections::BTreeSet;
 
 use abbe_core::{
     Calibration, Context, Error, Estimate, Identifiability, Owner, Parts, PathItem, Problem, Quantity, Result,
-    SettingsError, Status, Unknown,
+    SettingsError, Status, Unknown, ValuesOf,
 };
 use abbe_estimation::{
     EstimatorSolution, Judgement, RankDeficiency, UncertaintyEvaluation, VarianceComponents, Weighted,
@@ -49,6 +50,9 @@ const SETTLED: f64 = 1e-4;
 
 /// The same limit for one of thousands of estimates, as in trials.
 const NEARLY_SETTLED: f64 = 1e-3;
+
+/// Tolerance of these estimates.
+const TRIAL_TOLERANCE: f64 = 1e-6;
 
 fn example() -> Value {
     json!({ "robust": "tukey", "on_confounded": "error" })
@@ -227,15 +231,13 @@ impl GaussNewton {
         let factor =
             judged.factor().without_unknowns(|unknown| first.contains(&problem.unknowns[unknown].name.as_str()));
         let determined = self.determined(&factor);
-        let options = self.options(1e-3, false);
-        let found = self.iterate_within(&self.weighted(&reduced)?, &reduced.start(), determined.as_ref(), &options);
-        let solution = match found {
-            Ok(solution) => solution,
+        let at_start = judged.factor_at_start().map(|_| factor);
+        let nominal = match self.roughly(&reduced, at_start, determined.as_ref()) {
+            Ok(x) => Problem { unknowns: problem.unknowns.clone(), ..reduced.with_values(&x) },
             Err(error) if error.fatal => return Err(error),
             Err(_) => return Ok(Judged { started: None, judgement: judged, remarks: Vec::new() }),
         };
         let mut remarks = Vec::new();
-        let nominal = Problem { unknowns: problem.unknowns.clone(), ..reduced.with_values(&solution.x) };
         let mut found = nominal.clone();
         for unknown in problem.unknowns.iter().filter(|unknown| first.contains(&unknown.name.as_str())) {
             // The sum of squares has many minima: the iteration starts in the lowest.
@@ -464,8 +466,12 @@ impl Estimate for GaussNewton {
             return Ok(problem.values_of(&self.estimate_all(problem, false)?));
         }
         // Near the solution: what is left after this step is its square.
-        let options = self.options(1e-6, true);
+        let options = self.options(TRIAL_TOLERANCE, true);
         Ok(self.iterate(&self.weighted(problem)?, &problem.start(), None, &options)?.x)
+    }
+
+    fn values_near<'a>(&'a self, problem: &Problem) -> Box<ValuesOf<'a>> {
+        self.of_trials(problem)
     }
 
     fn accepts(&self, found: &Identifiability) -> Result<bool> {

@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use abbe_core::{
     Calibration, Context, Error, Estimate, EstimateSource, Fit, GumComparison, Identifiability, InputFile, MonteCarlo,
-    NamedCovariance, Problem, Result, Samples, SettingsError, SimulatedParameter, Whole, in_parallel,
+    NamedCovariance, Problem, Result, Samples, SettingsError, SimulatedParameter, ValuesOf, Whole, in_parallel,
 };
 use abbe_numerics::{AdaptiveProcedure, Generator, Trials, compare_with_gum, least_trials, numerical_tolerance};
 use serde_json::{Value, json};
@@ -80,6 +80,7 @@ impl Estimate for Propagation {
         }
         let draws = Draws::new(&self.settings, fit)?;
         self.may_keep(draws.quantities())?;
+        let values = fit.estimator.values_near(draws.problem());
         let mut found = Found {
             trials: Trials::new(draws.quantities()),
             failed: 0,
@@ -90,7 +91,7 @@ impl Estimate for Propagation {
             (None, Some(path)) => self.read(path, draws.quantities(), &mut found)?,
             (None, None) => {
                 let count = self.settings.block.map_or(self.settings.trials, |block| block.count).get();
-                self.solve(&draws, fit, count, &mut found, None)?;
+                self.solve((&draws, &*values), fit, count, &mut found, None)?;
             }
             (Some(adaptive), _) => {
                 let mut stop = AdaptiveProcedure::new(
@@ -100,7 +101,7 @@ impl Estimate for Propagation {
                 );
                 while !stop.finished() {
                     let mut batch = Trials::new(draws.quantities());
-                    self.solve(&draws, fit, stop.batch(), &mut found, Some(&mut batch))?;
+                    self.solve((&draws, &*values), fit, stop.batch(), &mut found, Some(&mut batch))?;
                     stop.push_batch(&batch);
                 }
                 found.stable = Some(stop.stable());
@@ -153,7 +154,7 @@ impl Propagation {
     /// Adds `count` trials, in the order of their numbers; ends with the first one in which the code itself fails.
     fn solve(
         &self,
-        draws: &Draws<'_>,
+        (draws, values_of): (&Draws<'_>, &ValuesOf<'_>),
         fit: &Fit,
         count: usize,
         found: &mut Found,
@@ -174,7 +175,7 @@ impl Propagation {
                     return None;
                 }
                 let mut generator = Generator::new(self.settings.seed, number);
-                let values = draws.trial(&mut generator, |problem| fit.estimator.values(problem));
+                let values = draws.trial(&mut generator, values_of);
                 if values.as_ref().is_err_and(|error| error.fatal) {
                     ended.store(true, Ordering::Relaxed);
                 }
