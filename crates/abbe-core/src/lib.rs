@@ -9,6 +9,7 @@
 //! In memory every quantity is in mm, rad, s, °C or N. Columns and settings say their unit in their name.
 
 mod dataset;
+mod factored;
 mod index;
 mod layout;
 mod model;
@@ -24,6 +25,7 @@ mod table;
 mod uncertainty;
 
 pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, StatedTip, Values};
+pub use factored::FactoredPoses;
 pub use index::{DataRow, EquationIndex, IndexRange, LayoutEquation, ListedBy, PoseIndex, RowIndex, SetIndex};
 pub use layout::{Layout, Row};
 pub use model::{
@@ -44,7 +46,7 @@ pub use quantities::Quantities;
 pub use registry::{Build, Constructor, Context, EstimateSource, Kind, Origin, Plugin, Provider, Registry};
 pub use stage::{
     Artefact, Batch, Batches, CommandCorrection, Estimate, Export, ExportedFile, Fit, Ingest, InputFile, Model, Parts,
-    Passes, QuestionToRows, Validate,
+    Passes, QuestionToRows, Validate, ValuesOf,
 };
 pub use table::{Cell, ColumnCells, Field, RowsOfTable, SharedCells, Table};
 pub use uncertainty::{CovarianceBlock, EquationUncertainty, PooledRepeatability};

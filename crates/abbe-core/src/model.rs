@@ -11,6 +11,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use crate::factored::FactoredPoses;
 use crate::parameter::{Parameter, ParameterRole};
 use abbe_results::Calibration;
 use abbe_settings::Quantity;
@@ -384,6 +385,16 @@ pub trait KinematicModel: Any + Send + Sync {
     ) -> Result<()> {
         out.reset(statuses.len() / self.info().status.len().max(1), wanted.len(), orientation);
         self.evaluate(PoseBatch { statuses, values, wanted, orientation }, out.as_mut())
+    }
+
+    /// Makes room in `out` and evaluates a batch into it, with derivatives in factors. Fails as [`evaluate`](Self::evaluate) does.
+    ///
+    /// A model whose parameters share effects is much faster if it gives these; the default is one for each variable.
+    fn factored(&self, batch: PoseBatch<'_>, out: &mut FactoredPoses) -> Result<()> {
+        let PoseBatch { statuses, values, wanted, orientation } = batch;
+        self.poses(statuses, values, wanted, orientation, &mut out.poses)?;
+        out.take_derivatives(wanted.len());
+        Ok(())
     }
 
     /// A motion error at a status; `values` has one value a parameter.

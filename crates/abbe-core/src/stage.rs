@@ -232,6 +232,12 @@ pub trait Estimate: Send + Sync {
         self.accepts_analysis_of_parts().and(Err(Error::usage("this estimator analyses no rows in parts")))
     }
 
+    /// As [`values`](Self::values), of many problems that differ from `problem` by errors of rows and by what is not estimated, and whose
+    /// start values are its own: what they have in common is computed once. Monte Carlo asks for this.
+    fn values_near<'a>(&'a self, _problem: &Problem) -> Box<ValuesOf<'a>> {
+        Box::new(|problem| self.values(problem))
+    }
+
     /// Analyses an earlier estimate, which the recipe names under `of`.
     fn analyse(&self, _fit: &Fit) -> Result<Calibration> {
         Err(Error::usage("this estimator makes its own estimate; it takes no other one by `of`").setting("of"))
@@ -255,6 +261,9 @@ pub trait Estimate: Send + Sync {
         Ok(found.rank == found.unknowns)
     }
 }
+
+/// The values of the unknowns of a problem.
+pub type ValuesOf<'a> = dyn Fn(&Problem) -> Result<Vec<f64>> + Sync + 'a;
 
 /// A question to some of the rows of a problem, with their number in the order of the rows.
 pub type QuestionToRows<'a> = dyn Fn(usize, &Problem) -> Result<PartEvidence> + Sync + 'a;

@@ -15,6 +15,15 @@ const STEPS: usize = 20;
 /// the first and of the second times the largest coordinate is used.
 const TOLERANCE: (f64, f64) = (1e-11, 1e-14);
 
+/// Most steps to nominal contact.
+const CONTACT_STEPS: usize = 12;
+
+/// A step to nominal contact, mm, after which derivatives are those of before.
+const NEAR: f64 = 1.0;
+
+/// What is left of the way to nominal contact, mm: nothing.
+const ROUNDED: f64 = 1e-13;
+
 /// An effect of commands on the equations of a row below this, mm/mm, counts as zero.
 const NO_EFFECT: f64 = 1e-6;
 
@@ -102,16 +111,26 @@ fn with_contacts(problem: &Problem, x: &[f64], moves: impl Fn(&ObservationSet) -
 }
 
 /// The statuses of a set with some of its rows at contact.
+///
+/// Derivatives to the commands hardly change on the way: those of the first step serve for the others, while these shrink as they should.
 fn contacts(problem: &Problem, set: SetIndex, rows: &[RowIndex], linear: &LinearAxes) -> Result<PoseTable> {
     let (mut moved, mut work) = (problem.clone(), Evaluation::default());
     for chunk in rows.chunks(CHUNK) {
-        // Newton's iteration converges quadratically: after a step below 1e-5 mm the error is below the rounding of a double.
-        for _ in 0..8 {
-            moved.evaluate(set, chunk, &linear.commands, &mut work)?;
+        let (mut last, mut is_near) = (f64::INFINITY, false);
+        for _ in 0..CONTACT_STEPS {
+            match is_near {
+                true => moved.evaluate_again(set, chunk, &mut work)?,
+                false => moved.evaluate(set, chunk, &linear.commands, &mut work)?,
+            }
             let machine = &moved.machine_values;
-            if move_by_step(&mut moved.sets[set], machine, chunk, linear, &work, Goal::Contact)? < 1e-5 {
+            let step = move_by_step(&mut moved.sets[set], machine, chunk, linear, &work, Goal::Contact)?;
+            // Newton's iteration converges quadratically: after a step below 1e-5 mm the error is below the rounding of a double. With
+            // derivatives of before, steps go on shrinking as the last one did.
+            if if is_near { step * step < ROUNDED * last } else { step < 1e-5 } {
                 break;
             }
+            is_near = step < NEAR.min(0.1 * last);
+            last = step;
         }
     }
     Ok(moved.sets[set].poses().clone())

@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use abbe_core::{
-    CHUNK, EquationIndex, Evaluation, IndexRange, ObservationSet, Owner, ParameterRole, Poses, Problem, Quantity,
-    Result, RowIndex, SetIndex, StatusRole, Unit, Unknown, Variable,
+    CHUNK, EquationIndex, Evaluation, FactoredPoses, IndexRange, ObservationSet, Owner, ParameterRole, PoseBatch,
+    Problem, Quantity, Result, RowIndex, SetIndex, StatusRole, Unit, Unknown, Variable,
 };
 use abbe_numerics::{Factor, LeastSquares};
 
@@ -171,27 +171,30 @@ pub(crate) fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<
     let mut squares_of_machine = vec![0.0; machine.len()];
     let angles = machine.iter().map(|&(column, _)| f64::from(problem.unknowns[column].unit == Unit::RAD));
     let angles: Vec<f64> = angles.collect();
-    let (mut work, mut poses) = (Evaluation::default(), Poses::default());
+    let (mut work, mut poses) = (Evaluation::default(), FactoredPoses::default());
+    let mut terms = vec![0.0; machine.len()];
     let mut first = EquationIndex(0);
     for (index, set) in SetIndex::enumerate(&problem.sets) {
         let own = columns_of(problem, index);
         for rows in set.rows.chunks(CHUNK) {
             problem.evaluate(index, rows, &[], &mut work)?;
-            let statuses: Vec<f64> = set.poses_of(rows).flat_map(|pose| set.poses().row(pose).to_vec()).collect();
-            let turned = problem.model.poses(&statuses, &problem.machine_values, &wanted, true, &mut poses);
+            let statuses: Vec<f64> = set.poses_of(rows).flat_map(|pose| set.poses().row(pose)).copied().collect();
+            let batch =
+                PoseBatch { statuses: &statuses, values: &problem.machine_values, wanted: &wanted, orientation: true };
+            let turned = problem.model.factored(batch, &mut poses);
             if turned.as_ref().is_err_and(|error| error.fatal) {
                 turned?;
             } else if turned.is_err() {
                 // A model may give no orientations: then what is an angle turns by itself.
-                problem.model.poses(&statuses, &problem.machine_values, &wanted, false, &mut poses)?;
+                problem.model.factored(PoseBatch { orientation: false, ..batch }, &mut poses)?;
             }
             let weights: Vec<f64> = IndexRange::new(first, work.equations.residuals().len())
                 .map(|equation| kept.map_or(1.0, |kept| kept[equation]) / uncertainties[equation])
                 .collect();
             let levers = Levers::new(set, rows, &work);
             for (equation, weight) in weights.iter().enumerate() {
-                let terms = levers.machine_terms(equation, &poses, &angles);
-                let squares = squares_of_machine.iter_mut().zip(terms);
+                levers.machine_terms(equation, &poses, &angles, &mut terms);
+                let squares = squares_of_machine.iter_mut().zip(&terms);
                 squares.for_each(|(square, term)| *square += (term * weight).powi(2));
             }
             for &(equation, unknown, derivative) in work.equations.by_own() {
@@ -245,21 +248,23 @@ impl Levers {
 
     /// The largest that a unit of each parameter of the machine could do to an equation, given the derivatives of the poses to them;
     /// without those of rotations `angles` says how far each turns.
-    fn machine_terms(&self, equation: usize, poses: &Poses, angles: &[f64]) -> Vec<f64> {
-        let mut terms = vec![0.0; angles.len()];
+    fn machine_terms(&self, equation: usize, poses: &FactoredPoses, angles: &[f64], terms: &mut [f64]) {
+        terms.fill(0.0);
+        let (effects, count) = (poses.effects, poses.terms.len());
         for &(pose, by_position, by_rotation) in &self.pairs[equation] {
-            let (range, lever) =
-                (pose * terms.len()..(pose + 1) * terms.len(), by_position * self.reach[pose] + by_rotation);
-            let moved = poses.position_derivatives[range.clone()].iter().map(|by| by_position * size(by));
-            terms.iter_mut().zip(moved).for_each(|(term, moved)| *term += moved);
-            match poses.rotation_derivatives.get(range) {
-                Some(turned) => {
-                    terms.iter_mut().zip(turned).for_each(|(term, turned)| *term += lever * size(turned));
+            let lever = by_position * self.reach[pose] + by_rotation;
+            let factors = &poses.factors[pose * count..(pose + 1) * count];
+            for (effect, run) in poses.runs() {
+                let moved = by_position * size(&poses.position_effects[pose * effects + effect]);
+                let turned = poses.rotation_effects.get(pose * effects + effect).map_or(0.0, |by| lever * size(by));
+                for ((variable, _), factor) in poses.terms[run.clone()].iter().zip(&factors[run]) {
+                    terms[*variable] += (moved + turned) * factor.abs();
                 }
-                None => terms.iter_mut().zip(angles).for_each(|(term, angle)| *term += lever * angle),
+            }
+            if poses.rotation_effects.is_empty() {
+                terms.iter_mut().zip(angles).for_each(|(term, angle)| *term += lever * angle);
             }
         }
-        terms
     }
 
     /// The largest that a unit of an own unknown could do to an equation: that of a point, or of a turn.

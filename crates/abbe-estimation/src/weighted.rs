@@ -167,6 +167,20 @@ impl LeastSquares for Weighted<'_> {
         })
     }
 
+    fn gradient(&self, x: &[f64]) -> Result<Vec<f64>> {
+        let mut gradient = vec![0.0; self.unknowns()];
+        let mut sums = Vec::new();
+        self.linearise_compact(x, |block| {
+            sums.clear();
+            sums.resize(block.unknowns.len(), 0.0);
+            for (_, residual, line) in block.lines() {
+                sums.iter_mut().zip(line).for_each(|(sum, derivative)| *sum += derivative * residual);
+            }
+            block.unknowns.iter().zip(&sums).for_each(|(&unknown, sum)| gradient[unknown] += sum);
+        })?;
+        Ok(gradient)
+    }
+
     fn factor(&self, x: &[f64], weights: Option<&[f64]>) -> Result<Factor> {
         Weighted::factor(self, x, weights)
     }

@@ -164,19 +164,21 @@ impl Factor {
 
     /// The Gauss-Newton step `-R^-1 Q^T r` of a problem of full rank; None if R is singular.
     pub fn step(&self) -> Option<Vec<f64>> {
-        let n = self.unknowns();
-        let mut step: Vec<f64> = self.right.iter().map(|value| -value).collect();
-        for row in (0..n).rev() {
-            let pivot = self.triangle[(row, row)];
-            if pivot == 0.0 {
+        self.solved(self.right.iter().map(|value| -value).collect())
+    }
+
+    /// `R^-1 right`; None if R is singular.
+    pub(crate) fn solved(&self, mut right: Vec<f64>) -> Option<Vec<f64>> {
+        for column in (0..self.unknowns()).rev() {
+            let entries = self.triangle.col_as_slice(column);
+            if entries[column] == 0.0 {
                 return None;
             }
-            step[row] /= pivot;
-            for above in 0..row {
-                step[above] -= self.triangle[(above, row)] * step[row];
-            }
+            right[column] /= entries[column];
+            let known = right[column];
+            right[..column].iter_mut().zip(entries).for_each(|(above, entry)| *above -= entry * known);
         }
-        step.iter().all(|value| value.is_finite()).then_some(step)
+        right.iter().all(|value| value.is_finite()).then_some(right)
     }
 
     /// Largest cosine of the angle between r and a column of J: zero at a minimum, and where r is zero.

@@ -45,6 +45,18 @@ pub trait LeastSquares {
     /// uncertainty of the row.
     fn linearise(&self, x: &[f64], sink: Sink<'_>) -> Result<(), Self::Error>;
 
+    /// The gradient `J^T r` of all rows at x.
+    fn gradient(&self, x: &[f64]) -> Result<Vec<f64>, Self::Error> {
+        let unknowns = self.unknowns();
+        let mut gradient = vec![0.0; unknowns];
+        self.linearise(x, &mut |_, residuals, derivatives| {
+            for (line, residual) in derivatives.chunks_exact(unknowns.max(1)).zip(residuals) {
+                gradient.iter_mut().zip(line).for_each(|(sum, derivative)| *sum += derivative * residual);
+            }
+        })?;
+        Ok(gradient)
+    }
+
     /// The factor of all rows at x with these statistical weights (all 1 if there are none).
     ///
     /// A problem whose rows depend on few of its unknowns may be faster than [`linearise`](Self::linearise) is: it gives them to

@@ -64,6 +64,7 @@ mod factor;
 mod gauss_newton;
 mod lower;
 mod monte_carlo;
+mod near;
 mod one_pass;
 mod passes;
 mod regression;
@@ -94,6 +95,7 @@ pub use lower::Lower;
 pub use monte_carlo::{
     AdaptiveProcedure, Agreement, Interval, Trials, compare_with_gum, least_trials, numerical_tolerance,
 };
+pub use near::solve_near;
 pub use one_pass::{Chosen, Ends};
 pub use passes::{HuberPoint, InPasses, RobustPass, RowWeight, Weighing, huber_point, solve_in_passes};
 pub use regression::{Influence, SelectionStep, StepwiseDirection, StepwiseSelection};

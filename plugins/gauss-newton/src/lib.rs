@@ -9,12 +9,14 @@ mod parts;
 mod prediction;
 mod select;
 mod settings;
+mod shared;
+mod trials;
 
 use std::collections::BTreeSet;
 
 use abbe_core::{
     Calibration, Context, Error, Estimate, Identifiability, Owner, Parts, PathItem, Problem, Quantity, Result,
-    SettingsError, Status, Unknown,
+    SettingsError, Status, Unknown, ValuesOf,
 };
 use abbe_estimation::{
     EstimatorSolution, Judgement, RankDeficiency, RowsAtHand, UncertaintyEvaluation, VarianceComponents, Weighted,
@@ -38,18 +40,14 @@ abbe_core::register!(
     "../reference/estimate-gauss-newton.md",
 );
 
-/// Part of the largest effect in a lost direction from which the value of a parameter tells how far the direction may be off.
-const MAIN_PART: f64 = 0.1;
-
-/// What errors of machines do to readings of lengths, mm, and of angles, rad.
-const TYPICAL_ERROR: f64 = 0.05;
-const TYPICAL_TURN: f64 = 5e-5;
-
 /// Robust weights that change by less than this have settled.
 const SETTLED: f64 = 1e-4;
 
 /// The same limit for one of thousands of estimates, as in trials.
 const NEARLY_SETTLED: f64 = 1e-3;
+
+/// Tolerance of these estimates.
+const TRIAL_TOLERANCE: f64 = 1e-6;
 
 fn example() -> Value {
     json!({ "robust": "tukey", "on_confounded": "error" })
@@ -228,15 +226,13 @@ impl GaussNewton {
         let factor =
             judged.factor().without_unknowns(|unknown| first.contains(&problem.unknowns[unknown].name.as_str()));
         let determined = self.determined(&factor);
-        let options = self.options(1e-3, false);
-        let found = self.iterate_within(&self.weighted(&reduced)?, &reduced.start(), determined.as_ref(), &options);
-        let solution = match found {
-            Ok(solution) => solution,
+        let at_start = judged.factor_at_start().map(|_| factor);
+        let nominal = match self.roughly(&reduced, at_start, determined.as_ref()) {
+            Ok(x) => Problem { unknowns: problem.unknowns.clone(), ..reduced.with_values(&x) },
             Err(error) if error.fatal => return Err(error),
             Err(_) => return Ok(Judged { started: None, judgement: judged, remarks: Vec::new() }),
         };
         let mut remarks = Vec::new();
-        let nominal = Problem { unknowns: problem.unknowns.clone(), ..reduced.with_values(&solution.x) };
         let mut found = nominal.clone();
         for unknown in problem.unknowns.iter().filter(|unknown| first.contains(&unknown.name.as_str())) {
             // The sum of squares has many minima: the iteration starts in the lowest.
@@ -360,74 +356,6 @@ impl GaussNewton {
         };
         self.evaluation(explained).calibration(problem, solved, None, None)
     }
-
-    /// Marks every value that depends on a lost direction: those that share it, and those that move by more than their standard
-    /// uncertainty where it is taken to be another, by products of errors.
-    ///
-    /// How far a lost direction may be off nobody knows; it is tried with the largest value that was found for what has a main part in
-    /// it, and at least with what errors of machines are.
-    /// `solve` gives the calibration from start values with the lost directions as they are there.
-    fn mark_shared(
-        &self,
-        (problem, judged): (&Problem, &Judgement),
-        found: &Identifiability,
-        calibration: &mut Calibration,
-        explained: bool,
-        solve: impl Fn(&Problem) -> Result<Calibration>,
-    ) -> Result<()> {
-        let parts = found.null_space.iter().flat_map(|vector| &vector.combination);
-        let mut shared: BTreeSet<String> = parts.map(|part| part.name.clone()).collect();
-        let (start, x) = (problem.start(), problem.values_of(calibration));
-        let readings =
-            problem.standard_uncertainties().into_iter().zip(problem.quantities()).zip(problem.constraints());
-        let readings =
-            readings.filter(|(_, constraint)| !constraint).map(|((uncertainty, quantity), _)| match quantity {
-                Quantity::Angle => TYPICAL_TURN / TYPICAL_ERROR / uncertainty,
-                _ => 1.0 / uncertainty,
-            });
-        let one_mm = readings.map(|weight| weight * weight).sum::<f64>().sqrt();
-        for vector in found.null_space.iter().filter(|_| explained) {
-            let members = problem.unknowns.iter().enumerate().filter_map(|(index, unknown)| {
-                let part = vector.combination.iter().find(|part| part.name == unknown.name)?;
-                Some((index, part.coefficient))
-            });
-            let members: Vec<(usize, f64)> = members.collect();
-            // What has no effect by itself may have one on what others do.
-            let whole = |index: usize| Some(judged.factor().norms()[index]).filter(|norm| *norm > 0.0);
-            let effect = |&(index, part): &(usize, f64)| whole(index).unwrap_or(judged.terms()[index]) * part.abs();
-            let largest = members.iter().map(effect).fold(0.0, f64::max);
-            let size = |&(index, part): &(usize, f64)| (x[index] - start[index]).abs() / part.abs();
-            let main = members.iter().filter(|member| effect(member) >= MAIN_PART * largest);
-            let typical = if largest > 0.0 { TYPICAL_ERROR * one_mm / largest } else { 0.0 };
-            let size = main.map(size).fold(typical, f64::max);
-            let mut shifted = x.clone();
-            members.iter().for_each(|(index, part)| shifted[*index] += size * part);
-            let other = match solve(&problem.with_values(&shifted)) {
-                Ok(other) => other,
-                Err(error) if error.fatal => return Err(error),
-                Err(error) => {
-                    let lost = vector.describe();
-                    tracing::warn!(
-                        "{}: what depends on a lost direction ({lost}) was not found: {error}",
-                        problem.name
-                    );
-                    continue;
-                }
-            };
-            for estimated in calibration.parameters.iter().chain(&calibration.artefacts) {
-                let moved = other.get(&estimated.name).map_or(0.0, |other| (other.value - estimated.value).abs());
-                if estimated.status == Status::Estimated && moved > estimated.standard_uncertainty {
-                    shared.insert(estimated.name.clone());
-                }
-            }
-        }
-        for estimated in calibration.parameters.iter_mut().chain(&mut calibration.artefacts) {
-            if shared.contains(&estimated.name) {
-                estimated.status = Status::Confounded;
-            }
-        }
-        Ok(())
-    }
 }
 
 impl Estimate for GaussNewton {
@@ -475,8 +403,12 @@ impl Estimate for GaussNewton {
             return Ok(rows.solve(&problem.start(), &self.options(1e-6, true))?.x);
         }
         // Near the solution: what is left after this step is its square.
-        let options = self.options(1e-6, true);
+        let options = self.options(TRIAL_TOLERANCE, true);
         Ok(self.iterate(&self.weighted(problem)?, &problem.start(), None, &options)?.x)
+    }
+
+    fn values_near<'a>(&'a self, problem: &Problem) -> Box<ValuesOf<'a>> {
+        self.of_trials(problem)
     }
 
     fn accepts(&self, found: &Identifiability) -> Result<bool> {

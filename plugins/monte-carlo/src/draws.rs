@@ -43,6 +43,11 @@ impl<'a> Draws<'a> {
         Ok(Self { problem, settings, rows, shared, lobing, stated: stated(settings, fit)? })
     }
 
+    /// The problem at the estimate.
+    pub fn problem(&self) -> &Problem {
+        &self.problem
+    }
+
     /// The estimate of one trial, followed by its considered parameters; `solve` gives the values of a problem.
     pub fn trial(&self, generator: &mut Generator, solve: impl Fn(&Problem) -> Result<Vec<f64>>) -> Result<Vec<f64>> {
         if let Some(root) = &self.stated {

@@ -81,9 +81,10 @@ impl Estimate for Propagation {
 
     fn analyse(&self, fit: &Fit) -> Result<Calibration> {
         let draws = Draws::new(&self.settings, fit)?;
+        let values = fit.estimator.values_near(draws.problem());
         let trial = |number: u64| {
             let mut generator = Generator::new(self.settings.seed, number);
-            draws.trial(&mut generator, |problem| fit.estimator.values(problem))
+            draws.trial(&mut generator, &values)
         };
         let trial = Trial::OnAnyThread(&trial);
         self.of_trials(fit, &Sampled { trial, quantities: draws.quantities() }, draws.described())

@@ -113,10 +113,41 @@ impl SerialChain {
             }
         }
         for argument in &wanted.arguments {
-            let motion = argument.axis.map_or_else(Vector3::zeros, |axis| by.1[axis]);
-            let through = argument.slopes.iter();
-            let sum = through.fold(motion, |sum, (slot, component, slope)| sum + by.0[*slot][*component] * *slope);
-            out[argument.index] = sum.into();
+            out[argument.index] = argument.effect(by);
         }
+    }
+}
+
+impl Argument {
+    /// The derivative to it at the last pose, of position or rotation as in `by`.
+    fn effect(&self, by: ByErrorAndCommand<'_>) -> [f64; 3] {
+        let motion = self.axis.map_or_else(Vector3::zeros, |axis| by.1[axis]);
+        let through = self.slopes.iter();
+        through.fold(motion, |sum, (slot, component, slope)| sum + by.0[*slot][*component] * *slope).into()
+    }
+}
+
+impl Wanted {
+    /// The terms of the derivatives: variable and effect. The coefficients of an error share one, an argument has its own.
+    pub fn terms(&self) -> impl Iterator<Item = (usize, usize)> {
+        let errors = self.coefficients.chunk_by(of_one_error);
+        let of_errors =
+            errors.enumerate().flat_map(|(effect, run)| run.iter().map(move |(variable, _)| (*variable, effect)));
+        let first = self.coefficients.chunk_by(of_one_error).count();
+        let of_arguments = self.arguments.iter().enumerate();
+        of_errors.chain(of_arguments.map(move |(index, argument)| (argument.index, first + index)))
+    }
+
+    /// Adds the factors of these terms at a pose, with the values of the functions there.
+    pub fn add_factors(&self, functions: &[f64], out: &mut Vec<f64>) {
+        out.extend(self.coefficients.iter().map(|(_, place)| functions[place.function]));
+        out.extend(self.arguments.iter().map(|_| 1.0));
+    }
+
+    /// Adds the effects at a pose, on position or rotation as in `by`.
+    pub fn add_effects(&self, by: ByErrorAndCommand<'_>, out: &mut Vec<[f64; 3]>) {
+        let errors = self.coefficients.chunk_by(of_one_error).map(|run| run[0].1);
+        out.extend(errors.map(|place| <[f64; 3]>::from(by.0[place.slot][place.component])));
+        out.extend(self.arguments.iter().map(|argument| argument.effect(by)));
     }
 }

@@ -1,15 +1,15 @@
 //! The kinematic model of a serial chain: parameters, statuses, poses in batches.
 
 use abbe_core::{
-    Axis, AxisKind, Dataset, Error, ErrorFunction, KinematicModel, ModelInfo, MotionError, PathItem, PoseBatch,
-    PosesMut, Result, SettingsError, Variable,
+    Axis, AxisKind, Dataset, Error, ErrorFunction, FactoredPoses, KinematicModel, ModelInfo, MotionError, PathItem,
+    PoseBatch, PosesMut, Result, SettingsError, Variable,
 };
 use abbe_errors::{Declaration, Functions};
 use abbe_kinematics::{Chain, Derivatives, Errors, Evaluation as Pose, StructuralLoop};
 use nalgebra::Vector3;
 
 use crate::builder::{Builder, finite, key};
-use crate::derivatives::{At, of_one_error};
+use crate::derivatives::{At, ByErrorAndCommand, Wanted, of_one_error};
 use crate::nominal::{FARTHEST, chain_axis, settle_body, settle_time, temperature_is_there, time_is_there};
 use crate::settings::Settings;
 
@@ -326,26 +326,43 @@ struct Term {
     value: f64,
 }
 
-impl KinematicModel for SerialChain {
-    fn info(&self) -> &ModelInfo {
-        &self.info
+impl Work {
+    /// Derivatives of the position to errors and commands.
+    fn of_position(&self) -> ByErrorAndCommand<'_> {
+        (&self.pose.by_error, &self.pose.by_command)
     }
 
-    fn evaluate(&self, batch: PoseBatch<'_>, out: PosesMut<'_>) -> Result<()> {
+    /// Those of the rotation.
+    fn of_rotation(&self) -> ByErrorAndCommand<'_> {
+        (&self.pose.turn_by_error, &self.pose.turn_by_command)
+    }
+}
+
+impl SerialChain {
+    /// The variables of a batch, sorted.
+    fn wanted(&self, batch: &PoseBatch<'_>) -> Wanted {
+        self.sorted(batch.wanted, &self.in_use(batch.values, batch.wanted))
+    }
+
+    /// Evaluates the poses of a batch one after another, with derivatives to errors and commands where some are wanted.
+    fn at_each_pose(
+        &self,
+        batch: PoseBatch<'_>,
+        sorted: &mut Wanted,
+        mut take: impl FnMut(usize, &Wanted, &Work),
+    ) -> Result<()> {
         let PoseBatch { statuses, values, wanted, orientation } = batch;
-        let width = self.info.status.len();
         let mut work = self.work();
         let mut buffers = (vec![0.0; self.functions], Vec::new());
         let used = self.in_use(values, wanted);
-        let mut sorted = self.sorted(wanted, &used);
-        let slots = self.slots_of(&sorted);
+        let slots = self.slots_of(sorted);
         let derivatives = match (wanted.is_empty(), orientation) {
             (true, _) => Derivatives::None,
             (_, false) => Derivatives::OfPosition(&slots),
             (_, true) => Derivatives::OfPositionAndRotation(&slots),
         };
         let terms = self.terms(&used, values);
-        for (index, status) in statuses.chunks_exact(width).enumerate() {
+        for (index, status) in statuses.chunks_exact(self.info.status.len()).enumerate() {
             work.errors.fill([0.0; 6]);
             let at = At { status, values };
             for basis in used.iter().map(|&basis| &self.bases[basis]) {
@@ -361,19 +378,44 @@ impl KinematicModel for SerialChain {
             } else {
                 self.chain.evaluate(&work.commands, &work.errors, tip, derivatives, &mut work.pose);
             }
-            out.positions[index] = work.pose.position.into();
-            let range = index * wanted.len()..(index + 1) * wanted.len();
-            self.slopes(&mut sorted, at, &mut buffers);
-            let pose = &work.pose;
-            let by = (&pose.by_error[..], &pose.by_command[..]);
-            self.derivatives(&sorted, &work, by, &mut out.position_derivatives[range.clone()]);
-            if orientation {
-                out.orientations[index] = pose.quaternion();
-                let turns = (&pose.turn_by_error[..], &pose.turn_by_command[..]);
-                self.derivatives(&sorted, &work, turns, &mut out.rotation_derivatives[range]);
-            }
+            self.slopes(sorted, at, &mut buffers);
+            take(index, sorted, &work);
         }
         Ok(())
+    }
+}
+
+impl KinematicModel for SerialChain {
+    fn info(&self) -> &ModelInfo {
+        &self.info
+    }
+
+    fn evaluate(&self, batch: PoseBatch<'_>, out: PosesMut<'_>) -> Result<()> {
+        let count = batch.wanted.len();
+        self.at_each_pose(batch, &mut self.wanted(&batch), |index, wanted, work| {
+            let pose = &work.pose;
+            out.positions[index] = pose.position.into();
+            let range = index * count..(index + 1) * count;
+            self.derivatives(wanted, work, work.of_position(), &mut out.position_derivatives[range.clone()]);
+            if batch.orientation {
+                out.orientations[index] = pose.quaternion();
+                self.derivatives(wanted, work, work.of_rotation(), &mut out.rotation_derivatives[range]);
+            }
+        })
+    }
+
+    fn factored(&self, batch: PoseBatch<'_>, out: &mut FactoredPoses) -> Result<()> {
+        let mut wanted = self.wanted(&batch);
+        out.reset(batch.statuses.len() / self.info.status.len(), batch.orientation, wanted.terms());
+        self.at_each_pose(batch, &mut wanted, |index, wanted, work| {
+            out.poses.positions[index] = work.pose.position.into();
+            wanted.add_factors(&work.functions, &mut out.factors);
+            wanted.add_effects(work.of_position(), &mut out.position_effects);
+            if batch.orientation {
+                out.poses.orientations[index] = work.pose.quaternion();
+                wanted.add_effects(work.of_rotation(), &mut out.rotation_effects);
+            }
+        })
     }
 
     fn motion_error(&self, function: &ErrorFunction, values: &[f64], status: &[f64]) -> Result<MotionError> {

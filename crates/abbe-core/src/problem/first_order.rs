@@ -2,7 +2,8 @@
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
-use crate::model::{Poses, Variable};
+use crate::factored::FactoredPoses;
+use crate::model::{PoseBatch, Variable};
 use crate::problem::Problem;
 use crate::rotation::left_jacobian;
 use abbe_settings::Result;
@@ -14,58 +15,48 @@ impl Problem {
     ///
     /// Positions are exact. Derivatives to shapes and commands are those of the exact rotation, which differ by products
     /// of errors.
-    pub(crate) fn first_order(&self, statuses: &[f64], wanted: &[Variable], out: &mut Poses) -> Result<()> {
+    pub(crate) fn first_order(&self, statuses: &[f64], wanted: &[Variable], out: &mut FactoredPoses) -> Result<()> {
         let nominal = &self.model.info().nominal;
         let linear = |variable: &Variable| match variable {
             Variable::Parameter(index) => Some(*index).filter(|index| nominal[*index] == 0.0),
             Variable::Command(_) => None,
         };
-        let exact = wanted.iter().any(|variable| linear(variable).is_none());
-        self.model.poses(statuses, &self.machine_values, wanted, exact, out)?;
-
-        let values: Vec<f64> = self
-            .machine_values
-            .iter()
-            .zip(nominal)
-            .map(|(value, nominal)| if *nominal == 0.0 { 0.0 } else { *value })
-            .collect();
-        let mut column = vec![None; nominal.len()];
-        let mut variables = Vec::new();
-        let moved = (0..nominal.len()).filter(|&index| nominal[index] == 0.0 && self.machine_values[index] != 0.0);
-        for index in moved.chain(wanted.iter().filter_map(linear)) {
-            column[index].get_or_insert_with(|| {
-                variables.push(Variable::Parameter(index));
-                variables.len() - 1
-            });
+        let as_is = PoseBatch { statuses, values: &self.machine_values, wanted, orientation: false };
+        self.model.factored(as_is, out)?;
+        let mut rotations = FactoredPoses::default();
+        let others: Vec<usize> = (0..wanted.len()).filter(|&index| linear(&wanted[index]).is_none()).collect();
+        if !others.is_empty() {
+            let wanted: Vec<Variable> = others.iter().map(|&index| wanted[index]).collect();
+            self.model.factored(PoseBatch { wanted: &wanted, orientation: true, ..as_is }, &mut rotations)?;
+            out.add_rotations(&rotations, |variable| Some(others[variable]));
         }
-        let mut at_nominal = Poses::default();
-        self.model.poses(statuses, &values, &variables, true, &mut at_nominal)?;
-
-        let poses = at_nominal.orientations.len();
-        out.orientations.clear();
-        out.rotation_derivatives.resize(poses * wanted.len(), [0.0; 3]);
-        for pose in 0..poses {
-            let alone = &at_nominal.rotation_derivatives[pose * variables.len()..(pose + 1) * variables.len()];
-            let mut turn = Vector3::zeros();
-            for (variable, by) in variables.iter().zip(alone) {
-                if let Variable::Parameter(index) = variable {
-                    turn += Vector3::from(*by) * self.machine_values[*index];
-                }
-            }
-            let [w, x, y, z] = at_nominal.orientations[pose];
+        let values = self.machine_values.iter().zip(nominal);
+        let values: Vec<f64> = values.map(|(value, nominal)| if *nominal == 0.0 { 0.0 } else { *value }).collect();
+        let mut place = vec![None; nominal.len()];
+        for (index, variable) in wanted.iter().enumerate() {
+            linear(variable).into_iter().for_each(|parameter| place[parameter] = Some(index));
+        }
+        let turning: Vec<usize> = (0..nominal.len())
+            .filter(|&index| nominal[index] == 0.0 && (self.machine_values[index] != 0.0 || place[index].is_some()))
+            .collect();
+        let variables: Vec<Variable> = turning.iter().map(|&index| Variable::Parameter(index)).collect();
+        let at_nominal = PoseBatch { statuses, values: &values, wanted: &variables, orientation: true };
+        self.model.factored(at_nominal, &mut rotations)?;
+        out.poses.orientations.clear();
+        for pose in 0..rotations.poses.orientations.len() {
+            let turn = rotations.turn(pose, |variable| self.machine_values[turning[variable]]);
+            let [w, x, y, z] = rotations.poses.orientations[pose];
             let nominal = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
             let turned = UnitQuaternion::from_scaled_axis(turn) * nominal;
-            out.orientations.push([turned.w, turned.i, turned.j, turned.k]);
+            out.poses.orientations.push([turned.w, turned.i, turned.j, turned.k]);
             let rotation = left_jacobian(&turn);
-            let derivatives = &mut out.rotation_derivatives[pose * wanted.len()..(pose + 1) * wanted.len()];
-            for (derivative, variable) in derivatives.iter_mut().zip(wanted) {
-                if let Some(place) = linear(variable).and_then(|index| column[index]) {
-                    // Most are zero: a reading turns with few of the errors.
-                    let by = alone[place];
-                    *derivative = if by == [0.0; 3] { by } else { (rotation * Vector3::from(by)).into() };
-                }
+            let effects = pose * rotations.effects..(pose + 1) * rotations.effects;
+            // Most are zero: a reading turns with few of the errors.
+            for effect in rotations.rotation_effects[effects].iter_mut().filter(|effect| **effect != [0.0; 3]) {
+                *effect = (rotation * Vector3::from(*effect)).into();
             }
         }
+        out.add_rotations(&rotations, |variable| place[turning[variable]]);
         Ok(())
     }
 }

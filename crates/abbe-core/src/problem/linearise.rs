@@ -2,12 +2,11 @@
 
 use std::sync::mpsc::{channel, sync_channel};
 
-use nalgebra::Vector3;
-
+use super::evaluation::Evaluation;
 use super::rows::ObservationSet;
 use super::{Owner, Problem};
 use crate::index::{EquationIndex, IndexRange, ListedBy, RowIndex, SetIndex};
-use crate::model::{Poses, Variable};
+use crate::model::{PoseBatch, Poses, Variable};
 use crate::observations::{Contact, Equations, Orientation};
 use abbe_settings::{Error, Result, free_threads};
 
@@ -194,27 +193,23 @@ impl Problem {
         out: &mut Linearised,
     ) -> Result<()> {
         let set = &self.sets[index];
-        self.evaluate(index, rows, &columns.wanted, work)?;
+        self.monitor.check()?;
+        self.evaluate_factored(set, &columns.wanted, rows, work).map_err(|error| self.of_row(index, rows, error))?;
+        self.equations_of(set, rows, &work.factored.poses, &mut work.equations)?;
         let of_rows = columns.of_rows(index, &work.equations);
         let (count, place) = (of_rows.len(), |column: usize| of_rows.partition_point(|other| *other < column));
-        let machine: Vec<(usize, f64)> =
-            columns.machine.iter().map(|&(column, factor)| (place(column), factor)).collect();
         let equations = work.equations.residuals.len();
         out.residuals.clear();
         out.residuals.extend_from_slice(&work.equations.residuals);
         let mut jacobian = std::mem::take(&mut work.jacobian);
         jacobian.clear();
         jacobian.resize(equations * count, 0.0);
-        work.chain(set, rows, columns.wanted.len(), |equation, _, derivatives, weight| {
-            if *weight == [0.0; 3] {
-                return;
-            }
-            let weight = Vector3::from(*weight);
-            let line = &mut jacobian[equation * count..(equation + 1) * count];
-            for (derivative, &(column, factor)) in derivatives.iter().zip(&machine) {
-                line[column] += factor * Vector3::from(*derivative).dot(&weight);
-            }
+        let places = work.factored.terms.iter().map(|&(variable, _)| {
+            let (column, factor) = columns.machine[variable];
+            (place(column), factor)
         });
+        let places: Vec<(usize, f64)> = places.collect();
+        work.chain_factored(set, rows, &places, count, &mut jacobian);
         let ColumnsOfSet { own, inputs } = &columns.of_sets[index];
         let own = work.equations.by_own.iter().map(|by| (by, own));
         let inputs = work.equations.by_input.iter().map(|by| (by, inputs));
@@ -232,12 +227,25 @@ impl Problem {
     pub fn evaluate(&self, set: SetIndex, rows: &[RowIndex], wanted: &[Variable], work: &mut Evaluation) -> Result<()> {
         self.monitor.check()?;
         self.evaluate_poses(set, rows, wanted, work).map_err(|error| self.of_row(set, rows, error))?;
-        let set = &self.sets[set];
-        work.equations.clear();
+        self.equations_of(&self.sets[set], rows, &work.poses, &mut work.equations)
+    }
+
+    /// Evaluates rows again that have moved, and keeps the derivatives of their poses as they were.
+    pub fn evaluate_again(&self, set: SetIndex, rows: &[RowIndex], work: &mut Evaluation) -> Result<()> {
+        let Poses { position_derivatives, rotation_derivatives, .. } = std::mem::take(&mut work.poses);
+        self.evaluate(set, rows, &[], work)?;
+        work.poses.position_derivatives = position_derivatives;
+        work.poses.rotation_derivatives = rotation_derivatives;
+        Ok(())
+    }
+
+    /// The equations of some rows at their poses.
+    fn equations_of(&self, set: &ObservationSet, rows: &[RowIndex], poses: &Poses, out: &mut Equations) -> Result<()> {
+        out.clear();
         let inputs = set.inputs_with(&self.machine_values);
-        set.observations.evaluate(set.batch(rows, &work.poses, &inputs), &mut work.equations)?;
+        set.observations.evaluate(set.batch(rows, poses, &inputs), out)?;
         if let Some(disturbances) = &set.disturbances {
-            let residuals = work.equations.residuals.iter_mut().zip(set.equations_of(rows));
+            let residuals = out.residuals.iter_mut().zip(set.equations_of(rows));
             residuals.for_each(|(value, equation)| *value += disturbances[equation]);
         }
         Ok(())
@@ -251,13 +259,35 @@ impl Problem {
         work: &mut Evaluation,
     ) -> Result<()> {
         let set = &self.sets[set];
-        work.statuses.clear();
-        set.poses_of(rows).for_each(|pose| work.statuses.extend_from_slice(set.poses().row(pose)));
+        work.take_statuses(set, rows);
         match set.info().orientation {
-            Orientation::FirstOrder => self.first_order(&work.statuses, wanted, &mut work.poses),
+            Orientation::FirstOrder => {
+                self.first_order(&work.statuses, wanted, &mut work.factored)?;
+                work.factored.write(wanted.len(), &mut work.poses);
+                Ok(())
+            }
             orientation => {
                 let exact = orientation == Orientation::Exact;
                 self.model.poses(&work.statuses, &self.machine_values, wanted, exact, &mut work.poses)
+            }
+        }
+    }
+
+    /// The same with derivatives in factors.
+    fn evaluate_factored(
+        &self,
+        set: &ObservationSet,
+        wanted: &[Variable],
+        rows: &[RowIndex],
+        work: &mut Evaluation,
+    ) -> Result<()> {
+        work.take_statuses(set, rows);
+        let Evaluation { statuses, factored, .. } = work;
+        match set.info().orientation {
+            Orientation::FirstOrder => self.first_order(statuses, wanted, factored),
+            orientation => {
+                let (values, orientation) = (&self.machine_values, orientation == Orientation::Exact);
+                self.model.factored(PoseBatch { statuses, values, wanted, orientation }, factored)
             }
         }
     }
@@ -388,44 +418,3 @@ const POSE: usize = 25;
 
 /// Blocks that a thread evaluates ahead of those that are taken.
 const AHEAD: usize = 4;
-
-/// Poses and equations of some rows, and the buffers of their evaluation.
-#[derive(Debug, Default)]
-pub struct Evaluation {
-    statuses: Vec<f64>,
-    /// The poses, one after another in the order of the rows.
-    pub poses: Poses,
-    /// The equations, in the same order.
-    pub equations: Equations,
-    /// Derivatives to the unknowns of these rows, equations x unknowns.
-    jacobian: Vec<f64>,
-}
-
-impl Evaluation {
-    /// Calls `add` with (equation, number of the pair of equation and pose, derivatives of the pose to the variables,
-    /// d(residual)/d(that pose)) for every equation and pose; once for positions and, where they are needed, once for rotations.
-    pub fn chain(
-        &self,
-        set: &ObservationSet,
-        rows: &[RowIndex],
-        variables: usize,
-        mut add: impl FnMut(usize, usize, &[[f64; 3]], &[f64; 3]),
-    ) {
-        let (mut equation, mut pair, mut first_pose) = (0, 0, 0);
-        for row in rows.iter().map(|&row| &set.info().layout.rows[row]) {
-            for _ in 0..row.equations {
-                for pose in first_pose..first_pose + row.poses {
-                    let range = pose * variables..(pose + 1) * variables;
-                    let by_position = &self.equations.by_position[pair];
-                    add(equation, pair, &self.poses.position_derivatives[range.clone()], by_position);
-                    if let Some(by_rotation) = self.equations.by_rotation.get(pair) {
-                        add(equation, pair, &self.poses.rotation_derivatives[range], by_rotation);
-                    }
-                    pair += 1;
-                }
-                equation += 1;
-            }
-            first_pose += row.poses;
-        }
-    }
-}

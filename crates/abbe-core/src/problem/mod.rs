@@ -4,6 +4,7 @@
 //! values.
 
 mod considered;
+mod evaluation;
 mod first_order;
 mod linearise;
 mod rows;
@@ -23,7 +24,8 @@ use abbe_settings::{Error, Monitor, Result, Unit, matches};
 use considered::{candidates, check_constraints, consider_parameters, inputs};
 
 pub use considered::{Considered, Input, Prior};
-pub use linearise::{Block, CHUNK, CompactBlock, Evaluation};
+pub use evaluation::Evaluation;
+pub use linearise::{Block, CHUNK, CompactBlock};
 pub use rows::{ObservationSet, RepeatedTogether};
 pub use tie::{DeclaredTie, Tie};
 

@@ -1,0 +1,91 @@
+//! The minimum next to a point whose factor is known: trials of Monte Carlo.
+
+use crate::factor::Factor;
+use crate::gauss_newton::{LeastSquares, Options, add};
+use crate::vector::norm;
+
+/// Part of the step before from which on a step does not shrink as it should.
+const SHRINKS: f64 = 0.1;
+
+/// Most steps.
+const STEPS: usize = 30;
+
+/// Minimises the sum of squares from `start`, next to which the rows had this factor; none if steps do not shrink as they should, so
+/// that [`solve`](crate::solve) has to.
+///
+/// Every step takes the gradient where it starts and the triangle of the factor, which is that of a minimum nearby: so it costs no
+/// decomposition. Steps shrink by what the triangle is off. The end is that of [`Options`]: the minimum is that of the rows themselves,
+/// whatever the triangle.
+///
+/// Fails if the start cannot be evaluated, and with an error that is final.
+///
+/// ```
+/// use abbe_numerics::{LeastSquares, Options, Sink, solve, solve_near};
+///
+/// /// Readings of an exponential of the time.
+/// struct Decay([f64; 3]);
+///
+/// impl LeastSquares for Decay {
+///     type Error = ();
+///     fn unknowns(&self) -> usize {
+///         1
+///     }
+///     fn rows(&self) -> usize {
+///         3
+///     }
+///     fn linearise(&self, x: &[f64], sink: Sink<'_>) -> Result<(), ()> {
+///         let at = |time: f64| (-x[0] * time).exp();
+///         let residuals = [1.0, 2.0, 3.0].map(at).iter().zip(self.0).map(|(model, read)| model - read).collect::<Vec<_>>();
+///         sink(0, &residuals, &[1.0, 2.0, 3.0].map(|time| -time * at(time)));
+///         Ok(())
+///     }
+/// }
+/// let found = solve(&Decay([0.6, 0.37, 0.22]), &[0.5], &Options::USUAL).unwrap();
+/// let other = Decay([0.61, 0.36, 0.23]);
+/// let near = solve_near(&other, &found.x, &found.factor, &Options::USUAL).unwrap().unwrap();
+/// let full = solve(&other, &found.x, &Options::USUAL).unwrap();
+/// assert!((near[0] - full.x[0]).abs() < 1e-9);
+/// ```
+pub fn solve_near<P: LeastSquares + ?Sized>(
+    problem: &P,
+    start: &[f64],
+    factor: &Factor,
+    options: &Options,
+) -> Result<Option<Vec<f64>>, P::Error> {
+    let mut x = start.to_vec();
+    let (mut last, mut last_ratio): (Option<f64>, Option<f64>) = (None, None);
+    for _ in 0..STEPS {
+        let gradient = match problem.gradient(&x) {
+            Ok(gradient) => gradient,
+            Err(error) if last.is_none() || problem.is_final(&error) => return Err(error),
+            Err(_) => return Ok(None),
+        };
+        let Some((step, size)) = factor.step_against(&gradient) else { return Ok(None) };
+        let ratio = last.map(|last| size / last);
+        if ratio.is_some_and(|ratio| ratio > SHRINKS) && size > options.tolerance {
+            return Ok(None);
+        }
+        add(&mut x, &step, 1.0);
+        // As in `solve`, the larger of two ratios tells what is left.
+        let left = ratio.zip(last_ratio).map(|(one, other): (f64, f64)| one.max(other)).map(|ratio| size * ratio);
+        if size <= options.tolerance || left.is_some_and(|left| left <= options.tolerance * (1.0 - SHRINKS)) {
+            return Ok(Some(x));
+        }
+        (last, last_ratio) = (Some(size), ratio);
+    }
+    Ok(None)
+}
+
+impl Factor {
+    /// The step `-(R^T R)^-1 gradient`, and by how many standard uncertainties it moves all rows together; None if R is singular.
+    fn step_against(&self, gradient: &[f64]) -> Option<(Vec<f64>, f64)> {
+        let mut right = vec![0.0; gradient.len()];
+        for (column, gradient) in gradient.iter().enumerate() {
+            let entries = self.triangle().col_as_slice(column);
+            let known: f64 = entries[..column].iter().zip(&right).map(|(entry, value)| entry * value).sum();
+            right[column] = (-gradient - known) / entries[column];
+        }
+        let size = norm(&right);
+        Some((self.solved(right)?, size))
+    }
+}
