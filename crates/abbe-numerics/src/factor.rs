@@ -476,11 +476,11 @@ impl Spectrum {
         &self.scale
     }
 }
+
 /// One unknown for each direction of an orthonormal basis. Each is the unknown with the largest part in the directions that
 /// remain after those before it.
 ///
-/// The part of an unknown does not depend on the choice of the basis, which is arbitrary. Of unknowns that differ by rounding
-/// only, the first is taken.
+/// Its part does not depend on the choice of the basis, which is arbitrary. Of unknowns that differ by rounding, the first is taken.
 fn owners(basis: &[Vec<f64>]) -> Vec<usize> {
     let mut left = basis.to_vec();
     let mut owners: Vec<usize> = Vec::new();

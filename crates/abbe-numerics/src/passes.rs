@@ -148,7 +148,7 @@ const SCALE_MOVED: f64 = 3e-3;
 const SCALE_CHANGED: f64 = 2e-3;
 
 /// How near to the minimum a robust estimate is when its passes end, in standard uncertainties of all rows together.
-const LEFT: f64 = 1e-4;
+const LEFT: f64 = 1e-6;
 
 /// The robust estimate, and how its rows are weighed; from where Huber's loss may have its minimum, and with a scale that may be known.
 ///
@@ -250,7 +250,7 @@ impl<P: InPasses + ?Sized> Settling<'_, P> {
     fn settle(&mut self, mut x: Vec<f64>) -> Result<Solution, P::Error> {
         let mut here = self.pass(&x)?;
         let mut followed: Vec<Followed> = Vec::new();
-        let (mut last, mut last_size): (Option<Step>, Option<f64>) = (None, None);
+        let mut last: Option<Step> = None;
         loop {
             let Some(plain) = here.factor.step() else {
                 return Ok(ended(x, End::NoProgress, *self.passes, f64::NAN, here.factor));
@@ -263,9 +263,7 @@ impl<P: InPasses + ?Sized> Settling<'_, P> {
                 followed.drain(..followed.len().saturating_sub(MIXED));
             }
             let mixed = mixed(&here.factor, &step, &followed);
-            let ratio = last_size.map_or(1.0, |last| size / last);
-            let left = if ratio < 0.5 { size * ratio / (1.0 - ratio) } else { f64::INFINITY };
-            if size <= LEFT || left <= LEFT {
+            if size <= LEFT {
                 add(&mut x, &mixed, 1.0);
                 return Ok(ended(x, End::Converged, *self.passes, size, here.factor));
             }
@@ -273,14 +271,14 @@ impl<P: InPasses + ?Sized> Settling<'_, P> {
                 return Ok(ended(x, End::RoundLimit, *self.passes, size, here.factor));
             }
             let Some((next, there, is_mixed)) = self.lower(&x, here.objective, [&mixed, &plain])? else {
-                let end = if size <= 1e-2 { End::Converged } else { End::NoProgress };
+                let end = if size <= 1e-4 { End::Converged } else { End::NoProgress };
                 return Ok(ended(x, end, *self.passes, size, here.factor));
             };
             self.problem.has_stepped(*self.passes, size);
             if !is_mixed {
                 followed.clear();
             }
-            (last, last_size) = (Some(Step { from: x, step }), is_mixed.then_some(size));
+            last = Some(Step { from: x, step });
             (x, here) = (next, there);
         }
     }

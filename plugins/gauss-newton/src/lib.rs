@@ -12,11 +12,9 @@ mod settings;
 mod shared;
 mod trials;
 
-use std::collections::BTreeSet;
-
 use abbe_core::{
-    Calibration, Context, Error, Estimate, Identifiability, Owner, Parts, PathItem, Problem, Quantity, Result,
-    SettingsError, Status, Unknown, ValuesOf,
+    Calibration, Context, Error, Estimate, Identifiability, Owner, Parts, PathItem, Problem, Result, SettingsError,
+    Unknown, ValuesOf,
 };
 use abbe_estimation::{
     EstimatorSolution, Judgement, RankDeficiency, RowsAtHand, UncertaintyEvaluation, VarianceComponents, Weighted,
