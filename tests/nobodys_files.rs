@@ -3,6 +3,9 @@
 #[cfg(unix)]
 mod ways;
 
+#[cfg(unix)]
+mod kept;
+
 use std::fs;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};

@@ -1,0 +1,81 @@
+//! What folders and other things of somebody keep: permissions and times; and what is no file of ours is looked at before the work.
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::process::Command;
+use std::time::{Duration, SystemTime};
+
+use super::run;
+use crate::support::{Small, as_typed, temporary};
+
+#[test]
+fn folders_among_results_keep_permissions_and_times() {
+    let small = Small::new();
+    assert_eq!(run(&small, "out").0, 0);
+    small.write("out/recipe/private/deep/notes.txt", "mine");
+    let long_ago = SystemTime::UNIX_EPOCH + Duration::from_secs(1_500_000_000);
+    let folders = [("out/recipe", 0o700), ("out/recipe/private/deep", 0o750), ("out/recipe/private", 0o700)];
+    for (folder, mode) in folders {
+        let folder = small.path(folder);
+        fs::set_permissions(&folder, fs::Permissions::from_mode(mode)).expect("its owner may");
+        fs::File::open(&folder).and_then(|opened| opened.set_modified(long_ago)).expect("its owner may");
+    }
+    assert_eq!(run(&small, "out").0, 0);
+    for (folder, mode) in folders {
+        let found = fs::metadata(small.path(folder)).expect("it is there");
+        assert_eq!(found.permissions().mode() & 0o7777, mode, "{folder}");
+        // What is written into the folder of results changes its time.
+        let is_theirs = folder != "out/recipe";
+        assert_eq!(found.modified().expect("a time") == long_ago, is_theirs, "{folder}");
+    }
+    assert_eq!(small.read("out/recipe/private/deep/notes.txt"), "mine");
+    // One that may not be written into is no obstacle, and nothing is left beside.
+    fs::set_permissions(small.path("out/recipe/private"), fs::Permissions::from_mode(0o555)).expect("its owner may");
+    let (status, stderr) = run(&small, "out");
+    assert_eq!(status, 0, "{stderr}");
+    assert_eq!(fs::read_dir(small.path("out")).expect("a folder").count(), 1);
+    let mode = fs::metadata(small.path("out/recipe/private")).expect("it is there").permissions().mode();
+    assert_eq!(mode & 0o7777, 0o555);
+    fs::set_permissions(small.path("out/recipe/private"), fs::Permissions::from_mode(0o755)).expect("its owner may");
+}
+
+#[test]
+fn pages_open_no_pipe() {
+    let folder = temporary();
+    let at = folder.path();
+    fs::create_dir(at.join("pages")).expect("a folder");
+    let pipe = at.join("pages/ingest-csv.md");
+    assert!(Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
+    let printed = as_typed(at, &["plugins", "--pages", "pages"]);
+    assert_eq!(printed.status, 2, "{}", printed.stderr);
+    assert!(printed.stderr.contains("ingest-csv.md"), "{}", printed.stderr);
+    assert_eq!(fs::read_dir(at.join("pages")).expect("a folder").count(), 1);
+}
+
+#[test]
+fn a_record_that_lists_a_result_twice_is_none() {
+    let small = Small::new();
+    assert_eq!(run(&small, "out").0, 0);
+    let text = small.read("out/recipe/run.json");
+    let mut record: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    let twice = record["outputs"][0].clone();
+    record["outputs"].as_array_mut().expect("a list").push(twice);
+    small.write("out/recipe/run.json", &record.to_string());
+    let printed = small.abbe(&["report", "out/recipe", "--out", "report.html"]);
+    assert!(printed.status > 0 && printed.stderr.contains("twice"), "{}", printed.stderr);
+    assert!(!small.path("report.html").exists());
+}
+
+#[test]
+fn what_is_no_history_is_told_before_a_run() {
+    let small = Small::new();
+    small.write("notes.txt", "mine");
+    let recipe = small.read("recipe.yaml").replacen("stages:", "history: notes.txt\nstages:", 1);
+    small.write("recipe.yaml", &recipe);
+    for command in [&["run", "recipe.yaml", "--out", "out"][..], &["check", "recipe.yaml"]] {
+        let printed = small.abbe(command);
+        assert!(printed.status > 0 && printed.stderr.contains("notes.txt"), "{}", printed.stderr);
+        assert!(!small.path("out").exists());
+    }
+    assert_eq!(small.read("notes.txt"), "mine");
+}
