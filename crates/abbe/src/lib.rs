@@ -330,9 +330,9 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             abbe_plugin::serve(&file, &sha256, &allowance).map(|()| (String::new(), 0))
         }
         Command::Plugins { json, pages } => {
-            interrupt::cancel_on_signal(Monitor::default())?;
             let registry = libraries.registry(None)?;
             if let Some(folder) = pages {
+                interrupt::cancel_on_signal(Monitor::default())?;
                 return pages::write(&registry, &folder).map(|text| (text, 0));
             }
             let text = if json { pretty(&listed::plugins_json(&registry))? } else { listed::plugins_text(&registry) };
