@@ -50,9 +50,12 @@ enum At<'x> {
     InContact(&'x [f64], bool),
 }
 
+/// Gets the set of a row, its unknowns, its derivatives to them, and its residual.
+type EachRow<'r> = dyn FnMut(usize, &[usize], &[f64], f64) + 'r;
+
 impl Whole<'_> {
     /// Shows the rows of a part: the set of each, its unknowns among all columns, ascending, its derivatives to them, and its residual.
-    fn rows_of(&self, part: &Problem, at: At<'_>, row: &mut dyn FnMut(usize, &[usize], &[f64], f64)) -> Result<()> {
+    fn rows_of(&self, part: &Problem, at: At<'_>, row: &mut EachRow<'_>) -> Result<()> {
         if part.equations() == 0 {
             return Ok(());
         }
