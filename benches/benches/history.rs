@@ -70,7 +70,7 @@ fn checked(path: &Path, machine: &str) -> Result<usize, Error> {
     let owned: Vec<(String, f64, Calibration)> = all.iter().map(test).collect();
     let tested: Vec<Tested<'_>> =
         owned.iter().map(|(label, at, calibration)| Tested { label, at: *at, calibration }).collect();
-    let known = history(&tested, None, &[], 1e-4);
+    let known = history(&tested, None, &[], 1e-4)?;
     let settings = Settings::default();
     let analysis = analyse("week", &known.tests, &known.series, &known.covariances, &known.inputs, &settings);
     Ok(findings(machine, &known, &analysis, Limit::from(0.0))?.remarks.len())

@@ -171,18 +171,25 @@ struct Labelled<'a> {
     labels: &'a [String],
 }
 
+/// The rows of a set with some labels, and the others.
+struct Parted {
+    set: SetIndex,
+    held: Vec<RowIndex>,
+    others: Vec<RowIndex>,
+}
+
 impl Labelled<'_> {
-    /// The set that is asked about, the rows with these labels and the others; none if a part has no rows of that artefact.
-    fn rows(&self, part: &Problem) -> Result<Option<(SetIndex, Vec<RowIndex>, Vec<RowIndex>)>> {
+    /// The rows of the set that is asked about; none if a part has no rows of that artefact.
+    fn rows(&self, part: &Problem) -> Result<Option<Parted>> {
         let Some(set) = part.set_named(self.stage) else { return Ok(None) };
         let (held, others) = LabelsOfRows::new(part, set, self.column)?.rows(&part.sets[set].rows, self.labels);
-        Ok(Some((set, held, others)))
+        Ok(Some(Parted { set, held, others }))
     }
 
     /// A part without these rows.
     fn rest(&self, part: &Problem) -> Result<Problem> {
         Ok(match self.rows(part)? {
-            Some((set, _, others)) => part.with_rows(set, others),
+            Some(Parted { set, others, .. }) => part.with_rows(set, others),
             None => part.clone(),
         })
     }
@@ -227,7 +234,9 @@ impl HeldOut<'_> {
     pub fn predict(&self, labels: &[String], trained: &TrainedFit, outliers: &ListedOutliers<'_>) -> Result<Predicted> {
         let held = self.labelled(labels);
         let look = |part: &Problem| match held.rows(part)? {
-            Some((set, rows, _)) => Predicted::new((part, set), &rows, held.column, trained, &outliers.among(part)),
+            Some(Parted { set, held: rows, .. }) => {
+                Predicted::new((part, set), &rows, held.column, trained, &outliers.among(part))
+            }
             None => Ok(Predicted::default()),
         };
         let found = looked_at(self.parts, &look, &|all: &mut Predicted, later| all.join(later))?;
