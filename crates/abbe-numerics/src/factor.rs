@@ -477,9 +477,7 @@ impl Spectrum {
     }
 }
 
-/// One unknown for each direction of an orthonormal basis. Each is the unknown with the largest part in the directions that
-/// remain after those before it.
-///
+/// One unknown for each direction of an orthonormal basis: that with the largest part in those that remain after those before it.
 /// Its part does not depend on the choice of the basis, which is arbitrary. Of unknowns that differ by rounding, the first is taken.
 fn owners(basis: &[Vec<f64>]) -> Vec<usize> {
     let mut left = basis.to_vec();
