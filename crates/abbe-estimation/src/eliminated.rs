@@ -207,6 +207,8 @@ impl<'a> EliminatedRows<'a> {
 
     /// Takes note of what occurs together in rows.
     fn look_for_groups(&self, at: At<'_>) -> Result<()> {
+        // What is considered is shared by all, and is no unknown that is looked for.
+        let at = if let At::InContact(x, _) = at { At::InContact(x, false) } else { at };
         let own: Vec<bool> =
             self.whole.problem.unknowns.iter().map(|unknown| matches!(unknown.owner, Owner::Set(_))).collect();
         let whole = &self.whole;

@@ -72,6 +72,8 @@ impl<'a> Weighted<'a> {
     }
 
     /// The factor at x; rows with the given statistical weights, all 1 if there are none.
+    ///
+    /// Fails for more than [`MOST_AT_ONCE`] unknowns, and where a row has no finite value or derivative.
     pub fn factor(&self, x: &[f64], weights: Option<&[f64]>) -> Result<Factor> {
         let all = EquationIndex::first(self.rows());
         let mut factors = self.factors(x, weights, std::slice::from_ref(&all))?;
