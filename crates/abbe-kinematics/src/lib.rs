@@ -5,9 +5,13 @@
 //! errors. How these errors depend on commands and other statuses is defined in `abbe-errors`.
 
 mod chain;
+mod frame;
 mod links;
 mod notation;
+mod number;
+mod side_by_side;
 
 pub use chain::{Chain, ChainAxis, Derivatives, ErrorFrame, Errors, Evaluation};
 pub use links::{Link, denavit_hartenberg};
 pub use notation::{ChainError, NamedAxis, StructuralLoop};
+pub use side_by_side::{ByErrorAndCommand, EvaluatedPose, Evaluations, Given};

@@ -1,5 +1,7 @@
 //! Reduces the rows of a least squares problem to their triangular factor.
 
+use std::collections::BTreeMap;
+
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::qr::no_pivoting::factor::{qr_in_place, qr_in_place_scratch, recommended_block_size};
 use faer::{Mat, Par, Spec};
@@ -42,6 +44,14 @@ pub struct Accumulator {
 struct Part {
     unknowns: Vec<usize>,
     rows: usize,
+}
+
+/// Rows of the buffer with the same rare columns.
+struct Group {
+    /// The columns that are not zero in them, or are common, ascending.
+    columns: Vec<usize>,
+    /// Where each begins in the buffer, and the part that it is of.
+    rows: Vec<(usize, usize)>,
 }
 
 /// The factor of some rows, over the columns that are not zero in them.
@@ -174,6 +184,83 @@ impl Accumulator {
         present
     }
 
+    /// The factor of the rows of the buffer over these columns.
+    ///
+    /// Where most rows have few of the rare columns, as touches that each know one of many features, rows with the same ones are
+    /// factorised by themselves, over the columns that they have, and then their triangles.
+    fn reduced(&self, columns: Vec<usize>) -> Triangle {
+        let groups = self.groups();
+        let work = |rows: usize, width: usize| rows * width * width;
+        let width = columns.len() + 1;
+        let heights = groups.iter().map(|group| group.rows.len().min(group.columns.len() + 1)).sum();
+        let apart = groups.iter().map(|group| work(group.rows.len(), group.columns.len() + 1)).sum::<usize>();
+        if 2 * (apart + work(heights, width)) > work(self.filled, width) {
+            let rows = self.matrix(&columns);
+            return Triangle::of(columns, rows);
+        }
+        let triangles = groups.into_iter().map(|Group { columns, rows }| {
+            let width = columns.len() + 1;
+            // Column by column, the residuals last.
+            let mut own = Mat::zeros(rows.len(), width);
+            for (row, (start, part)) in rows.into_iter().enumerate() {
+                let part = &self.parts[part].unknowns;
+                let (line, mut next) = (&self.buffer[start..=start + part.len()], 0);
+                for (unknown, value) in part.iter().zip(line) {
+                    while columns.get(next).is_some_and(|column| column < unknown) {
+                        next += 1;
+                    }
+                    if columns.get(next) == Some(unknown) {
+                        own[(row, next)] = *value;
+                    }
+                }
+                own[(row, width - 1)] = line[part.len()];
+            }
+            Triangle::of(columns, own)
+        });
+        stacked(&triangles.collect::<Vec<_>>(), columns)
+    }
+
+    /// The rows of the buffer in groups with the same rare columns: those that are not zero in a quarter of the rows at most. No groups
+    /// where there are too many of them.
+    fn groups(&self) -> Vec<Group> {
+        let mut users = vec![0; self.unknowns];
+        for (part, lines) in self.lines() {
+            for line in lines.chunks_exact(part.unknowns.len() + 1) {
+                part.unknowns
+                    .iter()
+                    .zip(line)
+                    .for_each(|(&unknown, value)| users[unknown] += usize::from(*value != 0.0));
+            }
+        }
+        let is_rare: Vec<bool> = users.iter().map(|users| 4 * users <= self.filled).collect();
+        let (mut groups, mut known): (Vec<Group>, BTreeMap<Vec<usize>, usize>) = Default::default();
+        let (mut start, mut rare) = (0, Vec::new());
+        for (number, (part, lines)) in self.lines().enumerate() {
+            let width = part.unknowns.len() + 1;
+            for line in lines.chunks_exact(width) {
+                rare.clear();
+                let own =
+                    part.unknowns.iter().zip(line).filter(|(unknown, value)| is_rare[**unknown] && **value != 0.0);
+                rare.extend(own.map(|(unknown, _)| *unknown));
+                let group = match known.get(&rare) {
+                    Some(group) => *group,
+                    None => {
+                        known.insert(rare.clone(), groups.len());
+                        let columns = (0..self.unknowns).filter(|column| match is_rare[*column] {
+                            true => rare.contains(column),
+                            false => users[*column] > 0,
+                        });
+                        groups.push(Group { columns: columns.collect(), rows: Vec::new() });
+                        groups.len() - 1
+                    }
+                };
+                groups[group].rows.push((start, number));
+                start += width;
+            }
+        }
+        groups
+    }
+
     /// The rows of the buffer over these columns, the residuals last.
     fn matrix(&self, columns: &[usize]) -> Mat<f64> {
         let mut place = vec![None; self.unknowns];
@@ -196,12 +283,12 @@ impl Accumulator {
     fn flush(&mut self) {
         let present = self.present();
         let columns: Vec<usize> = (0..self.unknowns).filter(|&column| present[column]).collect();
-        let rows = self.matrix(&columns);
+        let triangle = self.reduced(columns);
         self.buffer.clear();
         self.parts.clear();
         self.present = None;
         self.filled = 0;
-        self.done.push(Triangle::of(columns, rows));
+        self.done.push(triangle);
         if self.done.iter().map(|triangle| triangle.values.nrows()).sum::<usize>() * (self.unknowns + 1) > BUFFER {
             let triangles = std::mem::take(&mut self.done);
             self.done.push(stacked(&triangles, (0..self.unknowns).collect()));
@@ -212,8 +299,7 @@ impl Accumulator {
     pub fn finish(mut self) -> Factor {
         let all: Vec<usize> = std::mem::take(&mut self.all);
         if self.done.is_empty() {
-            let rows = self.matrix(&all);
-            return self.factor(&Triangle::of(all, rows));
+            return self.factor(&self.reduced(all));
         }
         self.flush();
         let mut users = vec![0; self.unknowns];

@@ -1,12 +1,10 @@
 //! Derivatives of poses to parameters and commands.
 
 use abbe_core::Variable;
+use abbe_kinematics::ByErrorAndCommand;
 use nalgebra::Vector3;
 
-use crate::model::{CoefficientPlace, ParameterUse, SerialChain, Source, Work};
-
-/// Derivatives of position or rotation to the errors of every slot, and to the command of every axis.
-pub(crate) type ByErrorAndCommand<'a> = (&'a [[Vector3<f64>; 6]], &'a [Vector3<f64>]);
+use crate::model::{CoefficientPlace, ParameterUse, SerialChain, Source};
 
 /// Variables to which derivatives are wanted, each with its index among all of them.
 #[derive(Default)]
@@ -96,14 +94,25 @@ impl SerialChain {
             }
         }
     }
+}
 
-    /// Derivatives of position or rotation, as in `by`, to the wanted variables, with the [`slopes`](Self::slopes) of the pose.
+impl Argument {
+    /// The derivative to it at the last pose, of position or rotation as in `by`.
+    fn effect(&self, by: ByErrorAndCommand<'_>) -> [f64; 3] {
+        let motion = self.axis.map_or_else(Vector3::zeros, |axis| by.command(axis));
+        let through = self.slopes.iter();
+        through.fold(motion, |sum, (slot, component, slope)| sum + by.error(*slot, *component) * *slope).into()
+    }
+}
+
+impl Wanted {
+    /// Writes the derivatives of position or rotation, as in `by`, with the values of the functions and the slopes at the pose.
     /// Derivatives that are zero are not written.
-    pub fn derivatives(&self, wanted: &Wanted, work: &Work, by: ByErrorAndCommand<'_>, out: &mut [[f64; 3]]) {
-        for coefficients in wanted.coefficients.chunk_by(of_one_error) {
-            let by_error = by.0[coefficients[0].1.slot][coefficients[0].1.component];
+    pub fn write(&self, functions: &[f64], by: ByErrorAndCommand<'_>, out: &mut [[f64; 3]]) {
+        for coefficients in self.coefficients.chunk_by(of_one_error) {
+            let by_error = by.error(coefficients[0].1.slot, coefficients[0].1.component);
             for (index, place) in coefficients {
-                let function = work.functions[place.function];
+                let function = functions[place.function];
                 // Of piecewise functions most are zero at a given command.
                 if function != 0.0 {
                     // A factor acts in several errors.
@@ -112,22 +121,11 @@ impl SerialChain {
                 }
             }
         }
-        for argument in &wanted.arguments {
+        for argument in &self.arguments {
             out[argument.index] = argument.effect(by);
         }
     }
-}
 
-impl Argument {
-    /// The derivative to it at the last pose, of position or rotation as in `by`.
-    fn effect(&self, by: ByErrorAndCommand<'_>) -> [f64; 3] {
-        let motion = self.axis.map_or_else(Vector3::zeros, |axis| by.1[axis]);
-        let through = self.slopes.iter();
-        through.fold(motion, |sum, (slot, component, slope)| sum + by.0[*slot][*component] * *slope).into()
-    }
-}
-
-impl Wanted {
     /// The terms of the derivatives: variable and effect. The coefficients of an error share one, an argument has its own.
     pub fn terms(&self) -> impl Iterator<Item = (usize, usize)> {
         let errors = self.coefficients.chunk_by(of_one_error);
@@ -147,7 +145,7 @@ impl Wanted {
     /// Adds the effects at a pose, on position or rotation as in `by`.
     pub fn add_effects(&self, by: ByErrorAndCommand<'_>, out: &mut Vec<[f64; 3]>) {
         let errors = self.coefficients.chunk_by(of_one_error).map(|run| run[0].1);
-        out.extend(errors.map(|place| <[f64; 3]>::from(by.0[place.slot][place.component])));
+        out.extend(errors.map(|place| <[f64; 3]>::from(by.error(place.slot, place.component))));
         out.extend(self.arguments.iter().map(|argument| argument.effect(by)));
     }
 }

@@ -5,11 +5,11 @@ use abbe_core::{
     PoseBatch, PosesMut, Result, SettingsError, Variable,
 };
 use abbe_errors::{Declaration, Functions};
-use abbe_kinematics::{Chain, Derivatives, Errors, Evaluation as Pose, StructuralLoop};
+use abbe_kinematics::{Chain, Derivatives, EvaluatedPose, Evaluations, Given, StructuralLoop};
 use nalgebra::Vector3;
 
 use crate::builder::{Builder, finite, key};
-use crate::derivatives::{At, ByErrorAndCommand, Wanted, of_one_error};
+use crate::derivatives::{At, Wanted, of_one_error};
 use crate::nominal::{FARTHEST, chain_axis, settle_body, settle_time, temperature_is_there, time_is_there};
 use crate::settings::Settings;
 
@@ -169,12 +169,16 @@ impl SerialChain {
         Ok(builder.finish(settings, resolved))
     }
 
-    fn work(&self) -> Work {
+    /// Buffers for poses of a batch of so many.
+    fn work(&self, count: usize) -> Work {
+        let poses = if count == 1 { Evaluations::one() } else { Evaluations::side_by_side() };
+        let width = poses.poses();
         Work {
-            functions: vec![0.0; self.functions],
-            errors: vec![[0.0; 6]; self.chain.slots()],
-            commands: vec![0.0; self.info.axes.len()],
-            pose: Pose::default(),
+            functions: vec![0.0; width * self.functions],
+            errors: vec![0.0; 6 * self.chain.slots() * width],
+            commands: vec![0.0; self.info.axes.len() * width],
+            tips: vec![0.0; 3 * width],
+            poses,
             room: Room::default(),
         }
     }
@@ -249,6 +253,11 @@ pub(crate) struct Room {
 }
 
 impl FunctionBasis {
+    /// Whether its functions, or the range where they are known, depend on the status of a pose.
+    fn is_of_status(&self) -> bool {
+        self.range.is_some() || self.arguments.iter().any(|source| matches!(source, Source::Status(_)))
+    }
+
     pub fn arguments_at<'a>(&self, status: &'a [f64], values: &[f64], room: &'a mut Room) -> &'a [f64] {
         // Nearly all functions have one argument: the command of an axis.
         if let [Source::Status(index)] = self.arguments[..] {
@@ -310,12 +319,17 @@ impl FunctionBasis {
     }
 }
 
-/// Buffers for one pose.
-pub(crate) struct Work {
-    pub functions: Vec<f64>,
-    errors: Vec<Errors>,
+/// Buffers for poses that are evaluated side by side.
+struct Work {
+    /// Poses x functions.
+    functions: Vec<f64>,
+    /// Errors x poses.
+    errors: Vec<f64>,
+    /// Axes x poses.
     commands: Vec<f64>,
-    pose: Pose,
+    /// Coordinates x poses.
+    tips: Vec<f64>,
+    poses: Evaluations,
     room: Room,
 }
 
@@ -326,16 +340,10 @@ struct Term {
     value: f64,
 }
 
-impl Work {
-    /// Derivatives of the position to errors and commands.
-    fn of_position(&self) -> ByErrorAndCommand<'_> {
-        (&self.pose.by_error, &self.pose.by_command)
-    }
-
-    /// Those of the rotation.
-    fn of_rotation(&self) -> ByErrorAndCommand<'_> {
-        (&self.pose.turn_by_error, &self.pose.turn_by_command)
-    }
+/// A pose of a batch with the values of the functions there.
+struct AtPose<'a> {
+    functions: &'a [f64],
+    pose: EvaluatedPose<'a>,
 }
 
 impl SerialChain {
@@ -344,15 +352,16 @@ impl SerialChain {
         self.sorted(batch.wanted, &self.in_use(batch.values, batch.wanted))
     }
 
-    /// Evaluates the poses of a batch one after another, with derivatives to errors and commands where some are wanted.
+    /// Evaluates the poses of a batch, with derivatives to errors and commands where some are wanted, and shows them one after another.
     fn at_each_pose(
         &self,
         batch: PoseBatch<'_>,
         sorted: &mut Wanted,
-        mut take: impl FnMut(usize, &Wanted, &Work),
+        mut take: impl FnMut(usize, &Wanted, AtPose<'_>),
     ) -> Result<()> {
         let PoseBatch { statuses, values, wanted, orientation } = batch;
-        let mut work = self.work();
+        let columns = self.info.status.len();
+        let mut work = self.work(statuses.len() / columns);
         let mut buffers = (vec![0.0; self.functions], Vec::new());
         let used = self.in_use(values, wanted);
         let slots = self.slots_of(sorted);
@@ -362,24 +371,53 @@ impl SerialChain {
             (_, true) => Derivatives::OfPositionAndRotation(&slots),
         };
         let terms = self.terms(&used, values);
-        for (index, status) in statuses.chunks_exact(self.info.status.len()).enumerate() {
-            work.errors.fill([0.0; 6]);
-            let at = At { status, values };
-            for basis in used.iter().map(|&basis| &self.bases[basis]) {
-                self.functions_at(basis, at, &mut work.room, &mut work.functions)
-                    .map_err(|error| error.at_pose(index))?;
+        let width = work.poses.poses();
+        // Functions that no status is an argument of have one value at all poses.
+        let (used, same): (Vec<usize>, Vec<usize>) = used.iter().partition(|&&basis| self.bases[basis].is_of_status());
+        if let Some(status) = statuses.chunks_exact(columns).next() {
+            for place in 0..width {
+                self.functions_of(&same, &mut work, place, At { status, values }).map_err(|error| error.at_pose(0))?;
             }
-            let errors = work.errors.as_flattened_mut();
-            terms.iter().for_each(|term| errors[term.error] += term.value * work.functions[term.function]);
-            work.commands.copy_from_slice(&status[..self.info.axes.len()]);
-            let tip = self.tip(status).map_err(|error| error.at_pose(index))?;
-            if self.first_order {
-                self.chain.evaluate_first_order(&work.commands, &work.errors, tip, &mut work.pose);
-            } else {
-                self.chain.evaluate(&work.commands, &work.errors, tip, derivatives, &mut work.pose);
+        }
+        for (group, statuses) in statuses.chunks(columns * width).enumerate() {
+            work.errors.fill(0.0);
+            for (place, status) in statuses.chunks_exact(columns).enumerate() {
+                self.give(&mut work, place, At { status, values }, (&used, &terms))
+                    .map_err(|error| error.at_pose(group * width + place))?;
             }
-            self.slopes(sorted, at, &mut buffers);
-            take(index, sorted, &work);
+            let Work { errors, commands, tips, poses, .. } = &mut work;
+            let given = Given { commands, errors, tips };
+            match self.first_order {
+                true => poses.evaluate_first_order(&self.chain, given),
+                false => poses.evaluate(&self.chain, given, derivatives),
+            }
+            for (place, status) in statuses.chunks_exact(columns).enumerate() {
+                self.slopes(sorted, At { status, values }, &mut buffers);
+                let functions = &work.functions[place * self.functions..(place + 1) * self.functions];
+                take(group * width + place, sorted, AtPose { functions, pose: work.poses.pose(place) });
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes the values of the functions of some bases to the place of a pose.
+    fn functions_of(&self, bases: &[usize], work: &mut Work, place: usize, at: At<'_>) -> Result<()> {
+        let Work { functions, room, .. } = work;
+        let functions = &mut functions[place * self.functions..(place + 1) * self.functions];
+        bases.iter().try_for_each(|&basis| self.functions_at(&self.bases[basis], at, room, functions))
+    }
+
+    /// Writes what a pose is evaluated at to its place among those that are evaluated with it; errors are added.
+    fn give(&self, work: &mut Work, place: usize, at: At<'_>, (used, terms): (&[usize], &[Term])) -> Result<()> {
+        self.functions_of(used, work, place, at)?;
+        let width = work.poses.poses();
+        let functions = &work.functions[place * self.functions..(place + 1) * self.functions];
+        terms.iter().for_each(|term| work.errors[term.error * width + place] += term.value * functions[term.function]);
+        for (axis, command) in at.status[..self.info.axes.len()].iter().enumerate() {
+            work.commands[axis * width + place] = *command;
+        }
+        for (coordinate, tip) in self.tip(at.status)?.iter().enumerate() {
+            work.tips[coordinate * width + place] = *tip;
         }
         Ok(())
     }
@@ -392,14 +430,13 @@ impl KinematicModel for SerialChain {
 
     fn evaluate(&self, batch: PoseBatch<'_>, out: PosesMut<'_>) -> Result<()> {
         let count = batch.wanted.len();
-        self.at_each_pose(batch, &mut self.wanted(&batch), |index, wanted, work| {
-            let pose = &work.pose;
-            out.positions[index] = pose.position.into();
+        self.at_each_pose(batch, &mut self.wanted(&batch), |index, wanted, AtPose { functions, pose }| {
+            out.positions[index] = pose.position().into();
             let range = index * count..(index + 1) * count;
-            self.derivatives(wanted, work, work.of_position(), &mut out.position_derivatives[range.clone()]);
+            wanted.write(functions, pose.of_position(), &mut out.position_derivatives[range.clone()]);
             if batch.orientation {
                 out.orientations[index] = pose.quaternion();
-                self.derivatives(wanted, work, work.of_rotation(), &mut out.rotation_derivatives[range]);
+                wanted.write(functions, pose.of_rotation(), &mut out.rotation_derivatives[range]);
             }
         })
     }
@@ -407,13 +444,13 @@ impl KinematicModel for SerialChain {
     fn factored(&self, batch: PoseBatch<'_>, out: &mut FactoredPoses) -> Result<()> {
         let mut wanted = self.wanted(&batch);
         out.reset(batch.statuses.len() / self.info.status.len(), batch.orientation, wanted.terms());
-        self.at_each_pose(batch, &mut wanted, |index, wanted, work| {
-            out.poses.positions[index] = work.pose.position.into();
-            wanted.add_factors(&work.functions, &mut out.factors);
-            wanted.add_effects(work.of_position(), &mut out.position_effects);
+        self.at_each_pose(batch, &mut wanted, |index, wanted, AtPose { functions, pose }| {
+            out.poses.positions[index] = pose.position().into();
+            wanted.add_factors(functions, &mut out.factors);
+            wanted.add_effects(pose.of_position(), &mut out.position_effects);
             if batch.orientation {
-                out.poses.orientations[index] = work.pose.quaternion();
-                wanted.add_effects(work.of_rotation(), &mut out.rotation_effects);
+                out.poses.orientations[index] = pose.quaternion();
+                wanted.add_effects(pose.of_rotation(), &mut out.rotation_effects);
             }
         })
     }

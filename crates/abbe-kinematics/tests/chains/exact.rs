@@ -1,6 +1,6 @@
 //! Proves that `Chain::evaluate` gives position and rotation as the conventions' section 2 says, for any chain.
 
-use abbe_kinematics::Derivatives;
+use abbe_kinematics::{Derivatives, Evaluations, Given};
 
 use crate::oracle::{Machine, Random, place, turn};
 use crate::subject;
@@ -50,5 +50,47 @@ fn one_evaluation_may_serve_chains_of_any_size() {
         assert_eq!((used.position, used.rotation), (fresh.position, fresh.rotation));
         assert_eq!((&used.by_error, &used.turn_by_error), (&fresh.by_error, &fresh.turn_by_error));
         assert_eq!((&used.by_command, &used.turn_by_command), (&fresh.by_command, &fresh.turn_by_command));
+    }
+}
+
+#[test]
+fn poses_side_by_side_are_those_that_each_is_alone() {
+    for seed in 0..150 {
+        let random = &mut Random::new(seed);
+        let machine = Machine::random(random);
+        let chain = subject::chain(&machine);
+        let mut all = Evaluations::side_by_side();
+        let poses = all.poses();
+        // Some errors are zero, small or large in some of the poses only.
+        let sizes = [(0.0, 0.0), (0.5, 1e-3), (50.0, 0.3)];
+        let each: Vec<(Vec<f64>, Vec<[f64; 6]>)> = (0..poses)
+            .map(|_| {
+                let (mm, rad) = sizes[random.below(3)];
+                let errors = subject::slots(&chain, &machine.random_errors(random, mm, rad));
+                let commands = machine.random_commands(random);
+                (if random.below(4) == 0 { vec![0.0; commands.len()] } else { commands }, errors)
+            })
+            .collect();
+        let beside = |count: usize, number: &dyn Fn(usize, usize) -> f64| -> Vec<f64> {
+            (0..count).flat_map(|place| (0..poses).map(move |pose| number(place, pose))).collect()
+        };
+        let commands = beside(chain.axes().len(), &|axis, pose| each[pose].0[axis]);
+        let errors = beside(6 * chain.slots(), &|error, pose| each[pose].1.as_flattened()[error]);
+        let tips = beside(3, &|coordinate, _| machine.tip[coordinate]);
+        let given = Given { commands: &commands, errors: &errors, tips: &tips };
+        all.evaluate(&chain, given, Derivatives::OfPositionAndRotation(&vec![true; chain.slots()]));
+        for (number, (commands, errors)) in each.iter().enumerate() {
+            let (pose, alone) = (all.pose(number), subject::evaluate(&machine, &chain, commands, errors));
+            assert_eq!((pose.position(), pose.rotation()), (alone.position, alone.rotation));
+            for (slot, component) in (0..chain.slots()).flat_map(|slot| (0..6).map(move |component| (slot, component)))
+            {
+                assert_eq!(pose.of_position().error(slot, component), alone.by_error[slot][component]);
+                assert_eq!(pose.of_rotation().error(slot, component), alone.turn_by_error[slot][component]);
+            }
+            for axis in 0..chain.axes().len() {
+                assert_eq!(pose.of_position().command(axis), alone.by_command[axis]);
+                assert_eq!(pose.of_rotation().command(axis), alone.turn_by_command[axis]);
+            }
+        }
     }
 }

@@ -74,6 +74,47 @@ fn rows_of_some_unknowns_are_rows_with_zeros() {
     assert!(off < 1e-12, "{off:e}");
 }
 
+/// Rows in any order, each of which has a few of many unknowns beside some that all have; they come in lists that lack what is zero in
+/// all of them, as rows of touches do.
+#[test]
+fn rows_of_many_features_are_factorised_as_all_rows() {
+    let mut worst = 0.0_f64;
+    for seed in 0..60 {
+        let random = &mut Random::new(seed);
+        let (shared, features, of_each) = (1 + random.below(20), 3 + random.below(30), 1 + random.below(3));
+        let (unknowns, count) = (shared + features * of_each, 400 + random.below(4000));
+        // Some do without any unknown of all rows, and some lists have a column of zeros.
+        let (mut dense, mut some) = (Accumulator::new(unknowns, 0), Accumulator::new(unknowns, count));
+        let mut row = 0;
+        while row < count {
+            let lines: Vec<Vec<f64>> = (0..1 + random.below(60))
+                .map(|_| {
+                    let (feature, mut line) = (random.below(features), vec![0.0; unknowns]);
+                    let without = random.below(3 * shared);
+                    (0..shared)
+                        .filter(|unknown| *unknown != without)
+                        .for_each(|unknown| line[unknown] = random.signed());
+                    (0..of_each).for_each(|own| line[shared + feature * of_each + own] = random.signed());
+                    line
+                })
+                .collect();
+            let kept = random.below(unknowns);
+            let is_there = |unknown: &usize| *unknown == kept || lines.iter().any(|line| line[*unknown] != 0.0);
+            let columns: Vec<usize> = (0..unknowns).filter(is_there).collect();
+            for line in &lines {
+                let (residual, weight) = (random.signed(), 0.5 + random.below(3) as f64);
+                dense.push(line, residual, weight);
+                let own: Vec<f64> = columns.iter().map(|&unknown| line[unknown]).collect();
+                some.push_some(&columns, &own, residual, weight);
+            }
+            row += lines.len();
+        }
+        worst = worst.max(difference(&dense.finish(), &some.finish(), &vec![1.0; unknowns]));
+    }
+    println!("largest difference: {worst:.1e}");
+    assert!(worst < 1e-11, "{worst:e}");
+}
+
 #[test]
 fn zeros_in_a_factor_are_zeros_in_its_rows() {
     let random = &mut Random::new(11);
