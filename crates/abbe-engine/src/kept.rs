@@ -32,7 +32,7 @@ struct Store {
     places: Vec<Option<(u64, usize)>>,
 }
 
-/// A batch as it is kept.
+/// A batch as it is kept. The numbers of its columns follow, one column after another: to read them one by one takes long.
 #[derive(Serialize, Deserialize)]
 struct Content {
     columns: Vec<Cells>,
@@ -58,8 +58,12 @@ struct Run {
 /// The cells of a column; labels one after another, with the bytes of each.
 #[derive(Serialize, Deserialize)]
 enum Cells {
-    Numbers(Vec<f64>),
-    Labels { text: String, lengths: Vec<usize> },
+    /// So many.
+    Numbers(usize),
+    Labels {
+        text: String,
+        lengths: Vec<usize>,
+    },
 }
 
 impl Prepared {
@@ -81,14 +85,20 @@ impl<'a> Kept<'a> {
     /// A batch that is kept.
     fn found(&self, batch: usize) -> Option<Batch> {
         let bytes = self.store.lock().unwrap_or_else(PoisonError::into_inner).read(batch)?;
-        postcard::from_bytes::<Content>(&bytes).ok()?.batch(self.headers.get()?)
+        let (content, numbers) = postcard::take_from_bytes::<Content>(&bytes).ok()?;
+        content.batch(self.headers.get()?, numbers)
     }
 
     fn keep(&self, number: usize, batch: &Batch) {
         let headers = batch.data.headers();
         // Other columns than those of the first batch: read again.
         let is_kept = *self.headers.get_or_init(|| headers.clone()) == headers;
-        if let Some(bytes) = is_kept.then(|| postcard::to_stdvec(&Content::of(batch)).ok()).flatten() {
+        if let Some(mut bytes) = is_kept.then(|| postcard::to_stdvec(&Content::of(batch)).ok()).flatten() {
+            for column in &batch.data.columns {
+                if let Values::Numbers(numbers) = &column.values {
+                    bytes.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
+                }
+            }
             self.store.lock().unwrap_or_else(PoisonError::into_inner).write(number, &bytes);
         }
     }
@@ -146,12 +156,12 @@ impl Content {
         }
     }
 
-    /// The batch; none if what was kept is not whole.
-    fn batch(self, headers: &[ColumnHeader]) -> Option<Batch> {
+    /// The batch, with its numbers; none if what was kept is not whole.
+    fn batch(self, headers: &[ColumnHeader], mut numbers: &[u8]) -> Option<Batch> {
         let rows = self.origins.iter().map(|run| run.rows).sum();
         let columns = headers.iter().zip(self.columns);
-        let columns =
-            columns.map(|(header, cells)| Some(Column { header: header.clone(), values: cells.values(rows)? }));
+        let columns = columns
+            .map(|(header, cells)| Some(Column { header: header.clone(), values: cells.values(rows, &mut numbers)? }));
         let tips = self.tips.into_iter().map(|(diameter, file, line)| StatedTip { diameter, file, line });
         let data = Dataset {
             columns: columns.collect::<Option<Vec<Column>>>().filter(|columns| columns.len() == headers.len())?,
@@ -186,16 +196,20 @@ impl Run {
 impl Cells {
     fn of(values: &Values) -> Self {
         match values {
-            Values::Numbers(numbers) => Self::Numbers(numbers.clone()),
+            Values::Numbers(numbers) => Self::Numbers(numbers.len()),
             Values::Labels(labels) => {
                 Self::Labels { text: labels.concat(), lengths: labels.iter().map(String::len).collect() }
             }
         }
     }
 
-    fn values(self, count: usize) -> Option<Values> {
+    /// The cells of `count` rows; numbers are the next ones.
+    fn values(self, count: usize, numbers: &mut &[u8]) -> Option<Values> {
         match self {
-            Self::Numbers(numbers) => (numbers.len() == count).then_some(Values::Numbers(numbers)),
+            Self::Numbers(own) => {
+                let bytes = numbers.split_off(..(own == count).then_some(8 * count)?)?;
+                Some(Values::Numbers(bytes.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect()))
+            }
             Self::Labels { text, lengths } => {
                 let mut rest = text.as_str();
                 let label = |length: usize| {
