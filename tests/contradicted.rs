@@ -130,7 +130,8 @@ fn times_that_fall_amid_others_are_told() {
         ("samba", "early", &["fit-centres"][..]),
         ("tango-hu40t", "touches", &["fit-S3"]),
         ("mill-warming", "touches", &["fit"]),
-        ("mill-direct", "table-files", &["fit-angles"]),
+        // Rows that a validator alone reads.
+        ("sphere-hu40t", "strategy-2", &["fit", "validation-set"]),
     ] {
         let recipe = || Variant::of(&recipes()[name]).only(only);
         let told = |file: Option<&PathBuf>| {
@@ -159,4 +160,45 @@ fn times_that_fall_amid_others_are_told() {
             );
         }
     }
+}
+
+/// Machines that are built again, to see whether two of 31 sensors are exchanged, say nothing that was said of the right one.
+#[test]
+fn a_sensor_that_stands_is_told_once() {
+    let recipe = || Variant::of(&recipes()["mill-warming"]).only(&["fit"]);
+    let word = "was it stuck?";
+    assert!(!said(&recipe()).contains(word));
+    let (folder, mut recipe) = (temporary(), recipe());
+    let file = recipe.path("sensors", "path");
+    let first = RefCell::new(String::new());
+    let other = changed(&file, folder.path(), "H1_degC", |row, cell| {
+        if row == 50 {
+            first.replace(cell.to_owned());
+        }
+        if (50..150).contains(&row) { first.borrow().clone() } else { cell.to_owned() }
+    });
+    recipe.stage("sensors")["path"] = json!(other);
+    let words = said(&recipe);
+    assert_eq!(words.matches(word).count(), 1, "{words}");
+}
+
+/// What all weeks have in common is one sentence.
+#[test]
+fn remarks_of_many_groups_are_one() {
+    let recipe = || Variant::of(&recipes()["history"]).only(&["weekly"]);
+    let (folder, mut recipe) = (temporary(), recipe());
+    let file = recipe.path("touches", "path");
+    // All touches of a ball with the sign of X turned: the nominal machine is nowhere near it.
+    let other = changed(&file, folder.path(), "dir_X", |_, cell| match cell.strip_prefix('-') {
+        Some(positive) => positive.to_owned(),
+        None => format!("-{cell}"),
+    });
+    recipe.stage("touches")["path"] = json!(other);
+    let words = said(&recipe);
+    let of_weeks = words.lines().filter(|line| line.contains("weekly.week-") && line.contains("`dir_X`")).count();
+    assert_eq!(of_weeks, 1, "{words}");
+    assert!(
+        words.contains("(the first of 39 such warnings)") || words.contains("(the first of 40 such warnings)"),
+        "{words}"
+    );
 }

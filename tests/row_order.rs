@@ -107,7 +107,12 @@ fn exchanged(name: &str, stage: &str, [one, other]: [&str; 2]) -> String {
     recipe.stage(stage)["path"] = json!(crate::told::exchanged(&recipe.path(stage, "path"), folder.path(), one, other));
     let file = recipe.write(folder.path());
     let printed = abbe(folder.path(), &["check".as_ref(), file.as_os_str()]);
-    printed.stderr.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ")
+    [printed.stdout, printed.stderr]
+        .concat()
+        .split_whitespace()
+        .filter(|word| *word != "│")
+        .collect::<Vec<_>>()
+        .join(" ")
 }
 
 #[test]

@@ -14,7 +14,7 @@ const MOST: f64 = 0.9;
 /// Steps below this are none, mm or rad.
 const STILL: f64 = 1e-9;
 
-/// Ways of a rotary axis from this on may have gone round the other side, rad.
+/// Ways of a rotary axis from this on, rad, may have gone round the other side, or all the way within its travel.
 const CLEAR: f64 = 0.95 * PI;
 
 /// Of two columns that may be exchanged: fewest steps in each direction, and fewest against their own column; the part that these are at
@@ -87,8 +87,8 @@ impl Steps {
             let [(_, from), (_, to)] = pair else { continue };
             let (way, direction) = (way(axis, from, to), to[column]);
             let is_told = is_touched || from[column] == direction;
-            // Half a turn may go either way.
-            let is_clear = axis.kind != AxisKind::Rotary || way.abs() < CLEAR;
+            // Half a turn and more may go either way.
+            let is_clear = axis.kind != AxisKind::Rotary || (to[axis.status] - from[axis.status]).abs() < CLEAR;
             if way.abs() > STILL && is_clear && direction != 0.0 && is_told {
                 let place = usize::from(direction > 0.0);
                 steps.all[place] += 1;

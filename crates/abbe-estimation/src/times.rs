@@ -39,10 +39,13 @@ fn falls_always(rows: &[DataRow], times: &[f64]) -> bool {
 }
 
 fn falls_somewhere(data: &Dataset, rows: &[DataRow], times: &[f64]) -> Option<String> {
+    let falls: Vec<usize> = (1..rows.len()).filter(|place| times[rows[*place]] < times[rows[place - 1]]).collect();
+    if falls.len() as f64 > FEW * (rows.len() - 1) as f64 {
+        return None;
+    }
     let borders = borders(data, rows);
-    let falls = |place: &usize| times[rows[*place]] < times[rows[place - 1]] && !borders.contains(place);
-    let falls: Vec<usize> = (1..rows.len()).filter(falls).collect();
-    let first = *falls.first().filter(|_| falls.len() as f64 <= FEW * (rows.len() - 1) as f64)?;
+    let falls: Vec<usize> = falls.into_iter().filter(|place| !borders.contains(place)).collect();
+    let first = *falls.first()?;
     let [before, after] = [rows[first - 1], rows[first]];
     let origin = data.origins[after];
     let place = data.files.get(origin.file).map_or_else(|| origin.in_words(), |file| origin.in_file(file));

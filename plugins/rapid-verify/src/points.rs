@@ -125,8 +125,8 @@ impl Points {
         Ok(table)
     }
 
-    /// Fails, with the line of the nominal file, if it has another stylus or another approach of a point, or other positions of rotary
-    /// axes, than a row in which this point was touched.
+    /// Fails, with the line of the nominal file, if it has another stylus or another axis of approach of a point, or other positions of
+    /// rotary axes, than a row in which this point was touched.
     pub fn check_touched(
         &self,
         nominal: DataRow,
@@ -176,17 +176,13 @@ impl Points {
 /// Largest difference, rad, of a rotary axis from where it was.
 pub const ELSEWHERE_ANGLE: f64 = 1e-3;
 
-/// A cell as text; whole numbers without digits behind the point, an approach with its sign.
+/// A cell as text; of an approach its axis, because one with the other sign leads away from its facet.
 fn label(data: &Dataset, name: &str, row: DataRow) -> Option<String> {
     let text = match &data.column(name)?.values {
         Values::Numbers(numbers) => numbers[row].to_string(),
         Values::Labels(labels) => labels[row].clone(),
     };
-    match approach(&text) {
-        _ if name != "approach" => Some(text),
-        Ok((axis, sense)) => Some(format!("{}{axis}", if sense < 0.0 { '-' } else { '+' })),
-        Err(_) => None,
-    }
+    if name == "approach" { approach(&text).ok().map(|(axis, _)| axis) } else { Some(text) }
 }
 
 /// Axis and sense of an approach such as `-Z`.
