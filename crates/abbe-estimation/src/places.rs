@@ -90,8 +90,11 @@ mod tests {
 
     use super::*;
 
+    /// A feature and the tip at a touch of it.
+    type Touch = (usize, Vector3<f64>);
+
     /// Random facets, and touches on them by a machine with a set-up that is off, aimed at their points or anywhere around these.
-    fn touched(random: &mut Generator) -> (Vec<Vector3<f64>>, Vec<(usize, Vector3<f64>)>) {
+    fn touched(random: &mut Generator) -> (Vec<Vector3<f64>>, Vec<Touch>) {
         let mut vector = |size: f64| Vector3::from_fn(|_, _| size * random.uniform());
         let (count, each) = (3 + (vector(1.0).x.abs() * 20.0) as usize, 1 + (vector(1.0).x.abs() * 8.0) as usize);
         let shift = vector(3.0);

@@ -249,8 +249,8 @@ mod tests {
         let axes = [axis("one", kind, 0), axis("two", kind, 1)];
         let directed: Vec<(&Axis, usize)> = axes.iter().zip(columns).collect();
         let run: Vec<Passed<'_>> = rows.iter().enumerate().map(|(row, status)| (DataRow(row), &status[..])).collect();
-        let exchanged = exchanged_directions(&directed, &[run.clone()], is_touched);
-        [exchanged, against_directions(&directed, &[run], is_touched)]
+        let exchanged = exchanged_directions(&directed, std::slice::from_ref(&run), is_touched);
+        [exchanged, against_directions(&directed, std::slice::from_ref(&run), is_touched)]
     }
 
     #[test]

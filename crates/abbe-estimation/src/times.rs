@@ -95,7 +95,7 @@ mod tests {
         let (runs, groups, features) = (1 + random.index(4), 1 + random.index(6), 2 + random.index(8));
         let (mut rows, mut time) = (Vec::new(), 0.0);
         for run in 0..runs {
-            if kind % 2 == 0 {
+            if kind.is_multiple_of(2) {
                 time = 100.0 * random.uniform();
             }
             for group in 0..groups {
@@ -141,7 +141,7 @@ mod tests {
             // Where a group ends, its clock may begin anew.
             let at = row + usize::from(seed % 2 == 0);
             let words = told(&rows);
-            assert_eq!(words.is_some(), at % 10 != 0 || row < 5, "{seed} {row}: {words:?}");
+            assert_eq!(words.is_some(), !at.is_multiple_of(10) || row < 5, "{seed} {row}: {words:?}");
         }
     }
 }
