@@ -12,6 +12,7 @@ mod circles;
 mod cmm;
 mod columnar;
 mod compensation;
+mod contradicted;
 pub(crate) mod controls;
 mod copies;
 mod corrected;

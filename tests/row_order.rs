@@ -100,3 +100,46 @@ fn outliers_that_gather_where_one_axis_is_turned_are_told() {
         assert_eq!(words.contains("is not where it usually is"), told, "{words}");
     }
 }
+
+/// A copy of a file of a stage in which two columns are exchanged.
+fn exchanged(name: &str, stage: &str, [one, other]: [&str; 2]) -> String {
+    let (folder, mut recipe) = (temporary(), Variant::of(&recipes()[name]));
+    recipe.stage(stage)["path"] = json!(crate::told::exchanged(&recipe.path(stage, "path"), folder.path(), one, other));
+    let file = recipe.write(folder.path());
+    let printed = abbe(folder.path(), &["check".as_ref(), file.as_os_str()]);
+    [printed.stdout, printed.stderr]
+        .concat()
+        .split_whitespace()
+        .filter(|word| *word != "│")
+        .collect::<Vec<_>>()
+        .join(" ")
+}
+
+#[test]
+fn directions_of_rotary_axes_that_touches_contradict_are_told() {
+    for (columns, told) in [(&[][..], None), (&["dir_C"], Some("`dir_C`")), (&["dir_B"], Some("`dir_B`"))] {
+        let text = negated("first-steps", "touches", columns);
+        assert_eq!(text.contains(AGAINST), told.is_some(), "{columns:?}: {text}");
+        assert!(told.is_none_or(|told| text.contains(told)), "{columns:?}: {text}");
+    }
+}
+
+#[test]
+fn columns_of_directions_that_are_exchanged_are_told() {
+    for (name, stage, columns, axes) in [
+        ("first-steps", "touches", ["dir_B", "dir_C"], ["B", "C"]),
+        ("standards-rtest", "c-turns", ["dir_X", "dir_Y"], ["X", "Y"]),
+        ("standards-rtest", "a-turns", ["dir_Y", "dir_Z"], ["Y", "Z"]),
+        ("standards-interpolation", "tests", ["dir_A", "dir_C"], ["A", "C"]),
+        ("standards-interpolation", "tests", ["dir_X", "dir_Y"], ["X", "Y"]),
+    ] {
+        let text = exchanged(name, stage, columns);
+        let is_told = |[one, other]: [&str; 2]| {
+            text.contains(&format!("{one} moves as `dir_{other}` says and {other} as `dir_{one}` does"))
+        };
+        let [one, other] = axes;
+        assert!(is_told([one, other]) || is_told([other, one]), "{name} {columns:?}: {text}");
+    }
+    // Two axes that are approached from one side each tell nothing.
+    assert!(!exchanged("standards-rtest", "c-turns", ["dir_Z", "dir_Z"]).contains("are the two columns exchanged"));
+}

@@ -8,7 +8,7 @@ use crate::misread::changed;
 use crate::support::{Variant, abbe, read, recipes, registry, temporary, write};
 
 /// Remarks and failures of a run, those of verdicts included, or its error, in one text.
-fn said(recipe: &Variant) -> String {
+pub(crate) fn said(recipe: &Variant) -> String {
     let folder = temporary();
     let file = recipe.write(folder.path());
     let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str(), "--json".as_ref()]);
@@ -86,7 +86,7 @@ fn balls_that_are_not_touched_are_not_told_as_touches_that_are_missing_alone() {
 }
 
 /// A copy of a file with two columns exchanged, in `folder`.
-fn exchanged(file: &Path, folder: &Path, one: &str, other: &str) -> PathBuf {
+pub(crate) fn exchanged(file: &Path, folder: &Path, one: &str, other: &str) -> PathBuf {
     let text = read(file);
     let header = text.lines().find(|line| !line.starts_with('#')).expect("a header");
     let place = |name: &str| header.split(',').position(|own| own == name).expect("a column");

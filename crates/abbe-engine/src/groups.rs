@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use abbe_core::{DataRow, Dataset, Error, Fit, Group, Kind, ListedBy, Monitor, Problem, Result, in_parallel};
-use abbe_estimation::{comparisons, copied_runs, copies};
+use abbe_estimation::{comparisons, copied_runs, copies, remarks};
 use abbe_recipe::Stage;
 
 use crate::evidence::{Digests, of_problem};
@@ -15,6 +15,7 @@ use crate::prepare::Prepared;
 use crate::problems::Taken;
 use crate::record::Remark;
 use crate::run::Datasets;
+use crate::told::{gathered, untold};
 
 /// The value of `per` for the rows of one file each.
 const FILE: &str = "file";
@@ -55,7 +56,9 @@ impl Prepared {
                     own.insert(ingest.clone(), Arc::new(data[ingest].of_rows(rows)));
                 }
                 let name = format!("{}.{}-{}", stage.name, group.by, group.label);
-                let problem = self.located(stage, self.problem(stage, &own, &mut Taken::default()));
+                // The rows of all groups together have been warned of.
+                let problem = untold(|| self.problem(stage, &own, &mut Taken::default()));
+                let problem = self.located(stage, problem);
                 Ok(GroupProblem { problem: Problem { name: name.clone(), ..problem? }, name, group: group.clone() })
             };
             let problems: Result<Vec<GroupProblem>> = in_parallel(&groups, None, problem).into_iter().collect();
@@ -103,12 +106,15 @@ impl Prepared {
         let fit = |group: &GroupProblem| {
             let problem = group.problem.watched_by(monitor.of_stage(&stage.name));
             let records = of_problem(&problem, digests);
-            let mut fit = self.fit(stage, problem)?;
-            comparisons(&fit.problem).iter().for_each(|remark| tracing::warn!("{}: {remark}", group.name));
-            fit.name.clone_from(&group.name);
-            fit.calibration.group = Some(group.group.clone());
-            fit.calibration.data = records;
-            Ok(fit)
+            let mut told = [remarks(&problem), copies(&problem)].concat();
+            let fitted = self.fit_untold(stage, problem).map(|mut fit| {
+                told.extend(comparisons(&fit.problem));
+                fit.name.clone_from(&group.name);
+                fit.calibration.group = Some(group.group.clone());
+                fit.calibration.data = records;
+                fit
+            });
+            (told, fitted)
         };
         let failed = |(group, result): (&GroupProblem, Result<Fit>)| {
             result.map_err(|error: Error| {
@@ -119,7 +125,13 @@ impl Prepared {
                 Failure { stage: group.name.clone(), kind: Kind::Estimate, error, needs: None }
             })
         };
-        problems.iter().zip(in_parallel(problems, None, fit)).map(failed).collect()
+        let (mut told, mut fits) = (Vec::new(), Vec::new());
+        for (group, (sentences, fitted)) in problems.iter().zip(in_parallel(problems, None, fit)) {
+            told.extend(sentences.into_iter().map(|sentence| (group.name.clone(), sentence)));
+            fits.push(failed((group, fitted)));
+        }
+        gathered(told).iter().for_each(|sentence| tracing::warn!("{sentence}"));
+        fits
     }
 }
 

@@ -43,6 +43,7 @@ mod sensors;
 mod simulate;
 mod staging;
 mod statuses;
+mod told;
 mod travel;
 mod understood;
 mod units;

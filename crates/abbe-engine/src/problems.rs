@@ -12,6 +12,7 @@ use crate::plausibility::{check_stated, check_tips};
 use crate::prepare::Prepared;
 use crate::row_settings::Wanted;
 use crate::run::{Datasets, has_problem};
+use crate::told::untold;
 use crate::travel::check_travel;
 use crate::units::tell_minutes;
 
@@ -87,14 +88,15 @@ impl Prepared {
         self.machine_of(stage, data, true)
     }
 
-    /// The same; whether doubts about the times of the data are told.
+    /// The same; whether doubts about the data and the logs are told.
     pub(crate) fn machine_of(&self, stage: &Stage, data: &Datasets, tells: bool) -> Result<Arc<dyn KinematicModel>> {
         let stage = self.built_for(stage)?;
         let (machine, _) = self.machine(stage)?;
         let logs = self.logs(machine, |log| Ok(data[log].clone()))?;
-        if tells {
-            tell_minutes(&self.rows_of(stage, data)?, &logs);
+        if !tells {
+            return untold(|| self.machine_with(stage, data, &logs));
         }
+        tell_minutes(&self.rows_of(stage, data)?, &logs);
         self.machine_with(stage, data, &logs)
     }
 

@@ -9,7 +9,7 @@ use abbe_core::{
     Class, DataRecord, Dataset, Error, EstimateSource, Event, Export, ExportedFile, Findings, Fit, Kind, Monitor,
     ObservationSet, Problem, Result, Verdict, in_parallel,
 };
-use abbe_estimation::{copies, remarks};
+use abbe_estimation::{copies, falling_times, remarks};
 use abbe_recipe::Stage;
 
 use crate::batches::{InBatches, Sources};
@@ -295,9 +295,14 @@ impl Prepared {
     }
 
     pub(crate) fn fit(&self, stage: &Stage, problem: Problem) -> Result<Fit> {
+        remarks(&problem).iter().chain(&copies(&problem)).for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
+        self.fit_untold(stage, problem)
+    }
+
+    /// The same without remarks on the problem.
+    pub(crate) fn fit_untold(&self, stage: &Stage, problem: Problem) -> Result<Fit> {
         let estimator = self.estimators[&stage.name].clone();
         tracing::info!("{}: {} equations, {} unknowns", stage.name, problem.equations(), problem.unknowns.len());
-        remarks(&problem).iter().chain(&copies(&problem)).for_each(|remark| tracing::warn!("{}: {remark}", stage.name));
         let explained = estimator.explain(&problem).map_err(|error| self.with_mistakes(stage, &problem, error));
         let mut calibration = self.located(stage, explained)?;
         calibration.fit.statuses = statuses::of_problem(&problem);
@@ -365,6 +370,11 @@ impl Prepared {
             self.started(stage, monitor)?;
             let read = self.located(stage, read(stage))?;
             doubts(&read).iter().for_each(|told| tracing::warn!("{}: {told}", stage.name));
+            // Rows that an artefact takes are told of with its estimate.
+            if !self.stages(Kind::Artefact).any(|artefact| artefact.reference("from").contains(&stage.name)) {
+                let told = falling_times(&read, read.row_indices());
+                told.iter().for_each(|told| tracing::warn!("{}: {told}", stage.name));
+            }
             data.insert(stage.name.clone(), read);
         }
         Ok(data)

@@ -6,6 +6,7 @@ use abbe_recipe::Stage;
 
 use crate::prepare::Prepared;
 use crate::run::Datasets;
+use crate::told::untold;
 
 /// Most pairs of sensors that are tried: all of 60 sensors.
 const PAIRS: usize = 2000;
@@ -29,8 +30,9 @@ impl Prepared {
             let columns = &mut exchanged[log].columns;
             let values = columns[one].values.clone();
             columns[one].values = std::mem::replace(&mut columns[other].values, values);
-            // A machine that cannot be built explains nothing.
-            Some(((log, [one, other]), self.machine_with(stage, data, &exchanged).ok()?))
+            // A machine that cannot be built explains nothing, and what is wrong with its sensors has been told of the right one.
+            let machine = untold(|| self.machine_with(stage, data, &exchanged));
+            Some(((log, [one, other]), machine.ok()?))
         });
         let found = explaining_machine(problem, machines);
         Ok(found.map(|((log, pair), [before, after])| {

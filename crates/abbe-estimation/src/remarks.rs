@@ -4,8 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use abbe_core::{
-    Axis, AxisKind, Branch, Contact, ObservationSet, Owner, ParameterRole, ProbeTerm, Problem, Quantity, RowIndex,
-    SetIndex, StatusRole,
+    Axis, AxisKind, Branch, Contact, Owner, ParameterRole, ProbeTerm, Problem, Quantity, RowIndex, SetIndex, StatusRole,
 };
 
 use crate::aliasing::aliased;
@@ -14,8 +13,10 @@ use crate::copies::repeated;
 use crate::directions::turned;
 use crate::exchanged::exchanged;
 use crate::instruments::instruments;
+use crate::places::exchanged_places;
 use crate::planned::planned;
 use crate::row_order::contradicted_by_order;
+use crate::times::falling;
 use crate::turned_readings::turned_readings;
 
 /// Most forgotten unknowns that a remark names.
@@ -27,12 +28,13 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     let mut remarks = aliased(problem);
     remarks.extend(forgotten(problem));
     remarks.extend(repeated(problem));
-    remarks.extend(reversed(problem));
+    remarks.extend(falling(problem));
     remarks.extend(instruments(problem));
     remarks.extend(doubtful_channels(problem));
     remarks.extend(shared(problem));
     remarks.extend(styli(problem));
     remarks.extend(missed(problem));
+    remarks.extend(exchanged_places(problem));
     remarks.extend(planned(problem));
     remarks.extend(tilted_probe(problem));
     remarks.extend(turned(problem));
@@ -44,21 +46,6 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
 /// They come after the fit itself, so that a machine that fails at other values fails there.
 pub fn comparisons(problem: &Problem) -> Vec<String> {
     turned_readings(problem).into_iter().chain(exchanged(problem)).collect()
-}
-
-/// Times that fall in every row.
-fn reversed(problem: &Problem) -> Vec<String> {
-    let falls = |set: &&ObservationSet| {
-        let rows = || set.rows.iter().filter_map(|&row| set.info().layout.rows[row].data_row);
-        let times = set.info().layout.data.numbers("time");
-        let times: Vec<f64> = times.map_or(Vec::new(), |times| rows().map(|row| times[row]).collect());
-        // A row may have several equations.
-        times.first() > times.last() && times.windows(2).all(|pair| pair[1] <= pair[0])
-    };
-    let sentence = |set: &ObservationSet| {
-        format!("{}: the time falls from row to row: its sign, or the order of the rows, may be wrong", set.name)
-    };
-    problem.sets.iter().filter(falls).map(sentence).collect()
 }
 
 /// Styli in the data that the model does not tell apart.

@@ -202,6 +202,18 @@ pub fn binomial_band(trials: usize, probability: f64, confidence: f64) -> (usize
     (low, high.max(low))
 }
 
+/// The probability of at least `found` successes in `trials` independent trials, if each succeeds with `probability`.
+///
+/// NaN if `probability` is not in 0..=1.
+///
+/// ```
+/// assert!((abbe_numerics::binomial_upper_tail(10, 0.5, 10) - 1.0 / 1024.0).abs() < 1e-15);
+/// ```
+pub fn binomial_upper_tail(trials: usize, probability: f64, found: usize) -> f64 {
+    let Ok(distribution) = Binomial::new(probability, trials as u64) else { return f64::NAN };
+    found.checked_sub(1).map_or(1.0, |fewer| distribution.sf(fewer as u64))
+}
+
 /// The probability that chance finds at least `found` of the `marked` ones among `drawn` that are drawn without return out of `all`.
 ///
 /// NaN if more are marked or drawn than there are.

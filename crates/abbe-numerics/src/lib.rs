@@ -82,9 +82,9 @@ pub use channels::{
     Channel, ClippedEnd, InstrumentFault, clipped_ends, instrument_faults, repeats_are_copies, resolution,
 };
 pub use coverage::{
-    binomial_band, chi_squared_quantile, chi_squared_upper_tail, correlation_by_chance, coverage_factor,
-    drawn_by_chance, effective_degrees_of_freedom, hotelling_quantile, hotelling_upper_tail, joint_coverage_factor,
-    rectangular_coverage_factor,
+    binomial_band, binomial_upper_tail, chi_squared_quantile, chi_squared_upper_tail, correlation_by_chance,
+    coverage_factor, drawn_by_chance, effective_degrees_of_freedom, hotelling_quantile, hotelling_upper_tail,
+    joint_coverage_factor, rectangular_coverage_factor,
 };
 pub use descent::{Descent, Steps, solve_plain};
 pub use design::{Criterion, Design, DesignFigures, DesignProblem};

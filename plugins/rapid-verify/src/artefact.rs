@@ -76,6 +76,7 @@ impl Artefact for ProbedPoints {
             let Some(&index) = by_label.get(label.as_str()) else { continue };
             let point = &nominal.list[index];
             let axis = axis_index(model, &point.axis).map_err(|message| data.error_at(row, message))?;
+            nominal.check_touched(DataRow(index), model, (data.as_ref(), row))?;
             let pose = layout.poses.end();
             layout.push(model, row, &[self.standard_uncertainty])?;
             touched.push((row, point.axis.as_str(), measured[row]));

@@ -6,8 +6,9 @@ use std::sync::Arc;
 use abbe_core::{AxisKind, DataRow, Dataset, Error, Fit, Problem, Quantity, Result, StatusColumn, StatusRole, Values};
 
 use crate::candidates::{self, Candidates};
+use crate::copies::{Copied, copied};
 use crate::diagnosis::Pattern;
-use crate::points::{Point, Points, Touch, check_trigger, holds_trigger};
+use crate::points::{ELSEWHERE_ANGLE, Point, Points, Touch, check_trigger, holds_trigger};
 
 /// The readings of one point in the baseline.
 #[derive(Debug, Clone, PartialEq)]
@@ -51,10 +52,7 @@ pub struct Run {
 
 /// Largest difference, mm and rad, from the baseline of axes that do not move until contact. It moves the point of contact on
 /// the facet and does not change the reading.
-const ELSEWHERE: (f64, f64) = (0.05, 1e-3);
-
-/// With fewer points than this, readings of two runs may be the same by chance.
-const FEW: usize = 5;
+const ELSEWHERE: (f64, f64) = (0.05, ELSEWHERE_ANGLE);
 
 const AS_BEFORE: &str = "runs have to probe the points as the baseline did";
 
@@ -88,6 +86,9 @@ impl Baseline {
             let rows: Vec<_> = taken.filter(|(_, data_row)| labels[*data_row] == point.label).collect();
             let Some((first, first_row)) = rows.first() else { continue };
             let readings: Vec<f64> = rows.iter().map(|(_, data_row)| measured[*data_row]).collect();
+            for (_, row) in &rows {
+                nominal.check_touched(nominal_row, problem.model.as_ref(), (&layout.data, *row))?;
+            }
             touched.extend(rows.iter().map(|(_, row)| (*row, point.axis.as_str(), measured[*row])));
             let mean = readings.iter().sum::<f64>() / readings.len() as f64;
             let status = set.poses().row(first.first_pose);
@@ -112,20 +113,16 @@ impl Baseline {
         Ok(Self { problem, points, data, holds_trigger })
     }
 
-    /// What a run is a copy of, if all its readings are those of one repeat of the baseline, or of an earlier run, to the last
-    /// digit. Readings of few points may be alike by chance.
-    pub fn copied(&self, run: &Run, earlier: &[Run]) -> Option<String> {
-        if self.points.len() < FEW {
-            return None;
-        }
-        let is_repeat = |repeat| {
-            self.points.iter().zip(&run.readings).all(|(probed, reading)| probed.readings.get(repeat) == Some(reading))
+    /// What a run is a copy of, as a whole or in part: one repeat of the baseline, or an earlier run. `scatter` is the standard deviation of
+    /// the difference of one reading between healthy runs, mm.
+    pub fn copied(&self, run: &Run, earlier: &[Run], scatter: f64) -> Option<Copied> {
+        let repeats = self.points.iter().map(|probed| probed.readings.len()).max().unwrap_or_default();
+        let repeat = |repeat: usize| {
+            let readings = self.points.iter().map(|probed| probed.readings.get(repeat).copied().unwrap_or(f64::NAN));
+            ("the baseline", readings.collect())
         };
-        let repeats = self.points.iter().map(|probed| probed.readings.len()).min().unwrap_or_default();
-        if (0..repeats).any(is_repeat) {
-            return Some("the baseline".to_owned());
-        }
-        earlier.iter().find(|other| other.readings == run.readings).map(|other| other.name.clone())
+        let runs = earlier.iter().map(|other| (other.name.as_str(), other.readings.clone()));
+        copied(&run.readings, (0..repeats).map(repeat).chain(runs), scatter)
     }
 
     fn touch<'a>(&'a self, probed: &'a Probed) -> Result<Touch<'a>> {

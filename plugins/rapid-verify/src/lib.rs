@@ -13,6 +13,7 @@ mod baseline;
 mod candidates;
 mod combination;
 mod controller;
+mod copies;
 mod cut;
 mod diagnosis;
 mod export;

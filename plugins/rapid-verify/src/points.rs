@@ -5,11 +5,12 @@
 //! are (Muelaner et al. 2014, section 4.1).
 
 use std::collections::BTreeMap;
+use std::f64::consts::{PI, TAU};
 use std::path::{Path, PathBuf};
 
 use abbe_core::{
     Absent, Axis, AxisKind, ColumnHeader, DataRow, Dataset, Error, KinematicModel, PoseTable, Poses, Quantity, Result,
-    StatusColumn, Variable, plain_naming, pose_columns,
+    StatusColumn, Values, Variable, plain_naming, pose_columns,
 };
 use nalgebra::{DMatrix, DVector, Vector3};
 
@@ -124,6 +125,45 @@ impl Points {
         Ok(table)
     }
 
+    /// Fails, with the line of the nominal file, if it has another stylus or another axis of approach of a point, or other positions of
+    /// rotary axes, than a row in which this point was touched.
+    pub fn check_touched(
+        &self,
+        nominal: DataRow,
+        model: &dyn KinematicModel,
+        (data, row): (&Dataset, DataRow),
+    ) -> Result<()> {
+        let place =
+            || data.origins[row].in_file(data.files.get(data.origins[row].file).map_or(Path::new(""), |file| file));
+        let refuse = |what: &str, here: String, there: String| {
+            let label = &self.list[nominal.0].label;
+            let message = format!("point {label} has {what} {here} here, and was touched with {there} ({})", place());
+            Err(self
+                .data
+                .error_at(nominal, message)
+                .help("which one is right? Programs and directions are made of this file"))
+        };
+        for name in ["stylus", "approach"] {
+            let [here, there] = [(&self.data, nominal), (data, row)].map(|(data, row)| label(data, name, row));
+            if let (Some(here), Some(there)) = (here, there)
+                && here != there
+            {
+                return refuse(name, here, there);
+            }
+        }
+        for axis in model.info().axes.iter().filter(|axis| axis.kind == AxisKind::Rotary) {
+            let [here, there] =
+                [(&self.data, nominal), (data, row)].map(|(data, row)| Some(data.numbers(&axis.name)?[row]));
+            if let (Some(here), Some(there)) = (here, there)
+                && ((here - there + PI).rem_euclid(TAU) - PI).abs() > ELSEWHERE_ANGLE
+            {
+                let deg = |angle: f64| format!("{:.4} deg", angle.to_degrees());
+                return refuse(&format!("{} at", axis.name), deg(here), deg(there));
+            }
+        }
+        Ok(())
+    }
+
     /// Fails, with the line of the nominal file, if the approach of its row does not lead against the facet.
     pub fn check_approach(&self, row: DataRow, touch: &Touch<'_>) -> Result<()> {
         touch.meets(&touch.model.info().nominal).map_err(|error| match error.place {
@@ -131,6 +171,18 @@ impl Points {
             Some(_) => error,
         })
     }
+}
+
+/// Largest difference, rad, of a rotary axis from where it was.
+pub const ELSEWHERE_ANGLE: f64 = 1e-3;
+
+/// A cell as text; of an approach its axis, because one with the other sign leads away from its facet.
+fn label(data: &Dataset, name: &str, row: DataRow) -> Option<String> {
+    let text = match &data.column(name)?.values {
+        Values::Numbers(numbers) => numbers[row].to_string(),
+        Values::Labels(labels) => labels[row].clone(),
+    };
+    if name == "approach" { approach(&text).ok().map(|(axis, _)| axis) } else { Some(text) }
 }
 
 /// Axis and sense of an approach such as `-Z`.

@@ -206,13 +206,8 @@ impl Validate for Verify {
         for (index, run) in runs.iter().enumerate() {
             let report = Report { fit: &fit.name, run, baseline: &baseline, patterns: &patterns };
             self.judge(&report, &diagnoser, &others, &mut findings)?;
-            if let Some(original) = baseline.copied(run, &runs[..index]) {
-                findings.remarks.push(format!(
-                    "{}: all readings are those of {original} to the last digit: is it a copy of that file? Then it says nothing \
-                     about the machine of today",
-                    run.name
-                ));
-            }
+            let copied = baseline.copied(run, &runs[..index], scatter.point);
+            findings.remarks.extend(copied.map(|copied| copied.remark(&run.name)));
         }
         if let Some(artefact) = &self.settings.material {
             for tolerance in self.tolerances() {

@@ -1,5 +1,7 @@
 //! The kinematic model of a serial chain: parameters, statuses, poses in batches.
 
+use std::collections::BTreeSet;
+
 use abbe_core::{
     Axis, AxisKind, Dataset, Error, ErrorFunction, FactoredPoses, KinematicModel, ModelInfo, MotionError, PathItem,
     PoseBatch, PosesMut, Result, SettingsError, Variable,
@@ -159,9 +161,12 @@ impl SerialChain {
         }
         builder.probe(settings)?;
         let mut resolved = settings.clone();
+        let mut told = BTreeSet::new();
         for (name, body) in &mut resolved.bodies {
             let at = [key("bodies"), key(name)];
-            settle_body(body, data).and_then(|()| builder.body(name, body)).map_err(|error| error.under(at))?;
+            settle_body(body, data, &mut told)
+                .and_then(|()| builder.body(name, body))
+                .map_err(|error| error.under(at))?;
         }
         resolved.errors = declarations.iter().map(|line| serde_json::to_value(line).unwrap_or_default()).collect();
         let resolved = serde_json::to_value(resolved)

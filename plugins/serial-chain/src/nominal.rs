@@ -1,5 +1,7 @@
 //! Nominal axes, time scales of drifts and temperatures of scales, from settings and data.
 
+use std::collections::BTreeSet;
+
 use abbe_core::{AxisKind, Dataset, PathItem, SettingsError, Values};
 use abbe_errors::{Body, Drift, Expansion, Per};
 use abbe_kinematics::{ChainAxis, ErrorFrame, NamedAxis};
@@ -86,12 +88,19 @@ pub(crate) fn time_is_there(data: &[&Dataset]) -> Result<(), SettingsError> {
         .help("write it into the file, on the clock of the log, or `constants: { time_s: 0 }` at its ingest stage"))
 }
 
-/// Checks a body, and takes its temperatures from the data: from a log, or from the measurements, which then have to have them.
-pub(crate) fn settle_body(body: &mut Body, data: &[&Dataset]) -> Result<(), SettingsError> {
+/// Checks a body, and takes its temperatures from the data: from a log, or from the measurements, which then have to have them. `told` are
+/// faults of sensors that have been told of other bodies.
+pub(crate) fn settle_body(
+    body: &mut Body,
+    data: &[&Dataset],
+    told: &mut BTreeSet<String>,
+) -> Result<(), SettingsError> {
     body.check()?;
     body.settle(data)?;
     if !data.is_empty() {
-        body.faults().iter().for_each(|fault| tracing::warn!("{fault}"));
+        let faults = body.faults().into_iter();
+        // Bodies share sensors.
+        faults.filter(|fault| told.insert(fault.clone())).for_each(|fault| tracing::warn!("{fault}"));
     }
     if body.has_log() {
         let sections = |error: SettingsError| SettingsError { path: vec![key("sections")], ..error };

@@ -7,8 +7,8 @@ use abbe_core::{
     Calibration, Context, Dataset, Error, Findings, Fit, Limit, PathItem, Result, SettingsError, Validate, positive,
 };
 use abbe_trend::{
-    AgainRule, Analysis, ChartDesign, Forecast, History, Settings as Judged, Tested, add_volumetric, analyse, findings,
-    follow, history, unit_factor,
+    AgainRule, Analysis, ChartDesign, Forecast, History, Settings as Judged, Tested, TimedTest, add_volumetric,
+    analyse, findings, follow, history, out_of_order, unit_factor,
 };
 use abbe_volumetric::{Grid, within};
 use schemars::JsonSchema;
@@ -226,8 +226,48 @@ impl Validate for Trend {
         self.rules(&mut found)?;
         let analysis = self.analyse(&group.unit, &found);
         let of = tests[0].name.split('.').next().unwrap_or_default();
-        findings(of, &found, &analysis, self.settings.changes)
+        let mut findings = findings(of, &found, &analysis, self.settings.changes)?;
+        let (of_rows, of_data) =
+            (times_of_rows(&tests), data.iter().map(|data| times_of_labels(&tests, &group.by, data)));
+        let timed = std::iter::once(of_rows).chain(of_data);
+        findings.remarks.extend(timed.filter_map(|timed| out_of_order(&group.by, &timed)));
+        Ok(findings)
     }
+}
+
+/// The tests whose rows have times.
+fn times_of_rows(tests: &[&Fit]) -> Vec<TimedTest> {
+    let of_test = |fit: &&Fit| {
+        let sets = fit.problem.sets.iter().filter_map(|set| {
+            let layout = &set.info().layout;
+            let times = layout.data.numbers("time")?;
+            ends(set.rows.iter().filter_map(|row| Some(times[layout.rows[*row].data_row?])))
+        });
+        // Files may have clocks of their own.
+        let time_s = sets.reduce(|one, other| [one[0].min(other[0]), one[1].max(other[1])])?;
+        Some(TimedTest { label: fit.calibration.group.as_ref()?.label.clone(), time_s })
+    };
+    tests.iter().filter_map(of_test).collect()
+}
+
+/// The tests of which data have rows with times, by their labels.
+fn times_of_labels(tests: &[&Fit], by: &str, data: &Dataset) -> Vec<TimedTest> {
+    let (Some(labels), Some(times)) = (data.labels(by), data.numbers("time")) else { return Vec::new() };
+    let of_test = |fit: &&Fit| {
+        let label = &fit.calibration.group.as_ref()?.label;
+        let rows = data.row_indices().filter(|row| labels[*row] == *label);
+        Some(TimedTest { label: label.clone(), time_s: ends(rows.map(|row| times[row]))? })
+    };
+    tests.iter().filter_map(of_test).collect()
+}
+
+/// The smallest and the largest of some times; none without a finite one.
+fn ends(times: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
+    let finite = times.filter(|time| time.is_finite());
+    finite.fold(None, |ends, time| match ends {
+        None => Some([time; 2]),
+        Some([first, last]) => Some([time.min(first), time.max(last)]),
+    })
 }
 
 fn tested<'a>(fit: &'a Fit) -> Option<Tested<'a>> {

@@ -253,15 +253,22 @@ fn shortened(message: &str) -> String {
     text
 }
 
-/// Words of the remark on rows of a plan among measured ones.
-const PLANNED: &str = "or are they positions of a plan";
+/// Words of remarks on rows of a plan among measured ones, and on labels, times and directions that other columns contradict.
+const FALSE: [&str; 5] = [
+    "or are they positions of a plan",
+    "are the two labels exchanged",
+    "are the two columns exchanged",
+    "from row to row the axes move against",
+    "the time falls",
+];
 
-/// Remarks on signs that are turned, columns that are exchanged, rows of a plan and outliers that gather.
+/// Remarks on signs that are turned, columns that are exchanged, rows of a plan, what other columns contradict, and outliers that gather.
 fn false_alarms(fit: &Fit) -> Vec<String> {
-    let planned = remarks(&fit.problem).into_iter().filter(|remark| remark.contains(PLANNED));
+    let all = remarks(&fit.problem).into_iter();
+    let told = all.filter(|remark| FALSE.iter().any(|words| remark.contains(words)));
     let compared = comparisons(&fit.problem);
     let gathered = gathered_outliers(&fit.problem, &fit.calibration);
-    planned.chain(compared).chain(gathered).map(|remark| format!("false alarm: {remark}")).collect()
+    told.chain(compared).chain(gathered).map(|remark| format!("false alarm: {remark}")).collect()
 }
 
 /// Parameters that are called estimated although residuals in nominal contact do not change when they change a lot.

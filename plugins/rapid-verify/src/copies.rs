@@ -1,0 +1,137 @@
+//! Runs whose readings are those of the baseline or of an earlier run to the last digit: all of them, or more than chance makes.
+
+use std::f64::consts::PI;
+
+use abbe_numerics::{binomial_upper_tail, resolution};
+
+/// With fewer points than this, readings of two runs may be the same by chance.
+const FEW: usize = 5;
+
+/// Probability below which readings of two runs do not agree by chance.
+const BY_CHANCE: f64 = 1e-8;
+
+/// How many times as quiet as it is stated a healthy machine may be.
+const QUIETER: f64 = 2.0;
+
+/// Part of the readings that differ which have to do so by more than one step of the digits: else the machine is so quiet, and its digits
+/// are so coarse, that the others agree by themselves.
+const APART: f64 = 0.5;
+
+/// Readings of a run that are those of another one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Copied {
+    /// The name of the other run, or `the baseline`.
+    pub of: String,
+    /// How many readings are the same.
+    pub same: usize,
+    /// How many there are.
+    pub all: usize,
+}
+
+impl Copied {
+    /// The remark on a run.
+    pub fn remark(&self, run: &str) -> String {
+        let Self { of, same, all } = self;
+        if same == all {
+            return format!(
+                "{run}: all readings are those of {of} to the last digit: is it a copy of that file? Then it says nothing about the machine \
+                 of today"
+            );
+        }
+        format!(
+            "{run}: {same} of {all} readings are those of {of} to the last digit, far more than chance makes of digits that are finer than \
+             healthy runs scatter: were these rows copied? Then they say nothing about the machine of today"
+        )
+    }
+}
+
+/// What the readings of a run, mm, are copies of: the run with the most of them, with its name, among `others`. `scatter` is the standard
+/// deviation of the difference of one reading between healthy runs, mm; coarser digits agree by chance.
+pub fn copied<'a>(readings: &[f64], others: impl Iterator<Item = (&'a str, Vec<f64>)>, scatter: f64) -> Option<Copied> {
+    let all = readings.len();
+    if all < FEW {
+        return None;
+    }
+    let found = others.filter_map(|(name, other)| {
+        let same = readings.iter().zip(&other).filter(|(one, other)| one == other).count();
+        (same == all || is_beyond_chance(readings, &other, same, scatter)).then_some((name, same))
+    });
+    // The first of those that have the most.
+    let most = found.reduce(|most, next| if next.1 > most.1 { next } else { most });
+    most.map(|(of, same)| Copied { of: of.to_owned(), same, all })
+}
+
+/// Whether two runs agree in more readings than chance makes of digits of this step.
+fn is_beyond_chance(one: &[f64], other: &[f64], same: usize, scatter: f64) -> bool {
+    let both = [one, other].concat();
+    // Data without noise have no such digits: there points agree that a change does not move.
+    let Some(step) = resolution(&both) else { return false };
+    // The density of a normal difference is largest at zero.
+    let chance = (step * QUIETER / ((2.0 * PI).sqrt() * scatter)).min(1.0);
+    let differ: Vec<f64> =
+        one.iter().zip(other).map(|(one, other)| (one - other).abs()).filter(|off| *off > 0.0).collect();
+    let apart = differ.iter().filter(|off| **off > 1.5 * step).count();
+    binomial_upper_tail(one.len(), chance, same) < BY_CHANCE && apart as f64 >= APART * differ.len() as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use abbe_numerics::Generator;
+
+    use super::*;
+
+    /// Readings with noise of a size and digits of a step, both mm, of points that lie anywhere.
+    fn run(random: &mut Generator, points: &[f64], noise: f64, step: f64) -> Vec<f64> {
+        points.iter().map(|point| ((point + noise * random.normal()) / step).round() * step).collect()
+    }
+
+    #[test]
+    fn runs_of_machines_that_are_quieter_or_coarser_than_stated_are_no_copies() {
+        for seed in 0..4000 {
+            let mut random = Generator::new(seed, 1);
+            let count = 5 + random.index(60);
+            let points: Vec<f64> = (0..count).map(|_| 200.0 * random.uniform()).collect();
+            let step = [1e-4, 2e-4, 5e-4, 1e-3][random.index(4)];
+            // As stated, up to five times as quiet, or twice as loud.
+            let noise = 5e-4 * [0.2, 0.3, 0.5, 1.0, 2.0][random.index(5)] / 2.0_f64.sqrt();
+            // A change of the machine moves some of the points only.
+            let moved = 0.01 * random.uniform();
+            let changed: Vec<f64> =
+                points.iter().map(|point| if *point > 0.0 { point + moved } else { *point }).collect();
+            let one = run(&mut random, &points, noise, step);
+            let other = run(&mut random, if seed % 2 == 0 { &points } else { &changed }, noise, step);
+            let found = copied(&other, [("one", one)].into_iter(), 5e-4);
+            // With few points and coarse digits all may agree.
+            let told = found.filter(|found| found.same < found.all || (found.all > 20 && noise > step));
+            assert_eq!(told, None, "{seed}: {count} points, step {step}, noise {noise}");
+        }
+    }
+
+    #[test]
+    fn copies_of_most_points_are_told() {
+        for (count, kept, told) in
+            [(40, 1, true), (40, 8, true), (25, 1, true), (25, 3, true), (40, 36, false), (40, 40, false)]
+        {
+            for seed in 0..200 {
+                let mut random = Generator::new(seed, 2);
+                let points: Vec<f64> = (0..count).map(|_| 200.0 * random.uniform()).collect();
+                let [one, mut other] = [0, 1].map(|_| run(&mut random, &points, 4e-4, 1e-4));
+                other[kept..].copy_from_slice(&one[kept..]);
+                let found = copied(&other, [("b", one.clone())].into_iter(), 5e-4);
+                // One reading that is a step off, or the same by chance.
+                let is_other = (0..kept).all(|point| (one[point] - other[point]).abs() > 1.5e-4);
+                assert!(found.is_some() == told || (told && !is_other), "{count} {kept} {seed}: {found:?}");
+            }
+        }
+    }
+
+    /// Noise-free runs agree where a change moves nothing.
+    #[test]
+    fn exact_runs_are_told_only_where_all_agree() {
+        let one: Vec<f64> = (0..30).map(|point| (1e9 * (200.0 * f64::from(point).sin())).round() * 1e-9).collect();
+        let mut other = one.clone();
+        assert_eq!(copied(&other, [("b", one.clone())].into_iter(), 5e-4).map(|found| found.same), Some(30));
+        other[3] += 0.01;
+        assert_eq!(copied(&other, [("b", one)].into_iter(), 5e-4), None);
+    }
+}
