@@ -47,7 +47,7 @@ fn a_recipe_whose_name_is_no_text_is_refused() {
 fn a_byte_order_mark_is_read_away() {
     let small = Small::new();
     ok(&small.abbe(&["run", "recipe.yaml", "--out", "out"]));
-    small.write("points.csv", "X_mm,Y_mm,Z_mm,B_deg,C_deg\n0,0,0,0,0\n");
+    small.write("points.csv", "X_mm,Y_mm,Z_mm,B_deg,C_deg\n0,0,300,0,0\n");
     let text = small.read("out/recipe/fine.calibration.json");
     small.write("plain.calibration.json", &text);
     small.write("marked.calibration.json", &format!("\u{feff}{text}"));
@@ -63,7 +63,7 @@ fn a_byte_order_mark_is_read_away() {
 fn an_age_that_a_broken_record_does_not_tell_is_an_error_of_the_record() {
     let small = Small::new();
     ok(&small.abbe(&["run", "recipe.yaml", "--out", "out"]));
-    small.write("points.csv", "X_mm,Y_mm,Z_mm,B_deg,C_deg\n0,0,0,0,0\n");
+    small.write("points.csv", "X_mm,Y_mm,Z_mm,B_deg,C_deg\n0,0,300,0,0\n");
     let record = small.read("out/recipe/run.json");
     let aged = || {
         let calibration = "out/recipe/fine.calibration.json";

@@ -9,7 +9,7 @@ use abbe_standards::positioning::plan::Axis;
 
 use crate::both_directions::{mirrored, smaller_direction};
 use crate::common::{copied_repeats, directions, faults, finite, no_data, run_name};
-use crate::displaced::{OfRun, rows_off, run_off};
+use crate::displaced::{InOrder, OfRun, run_off};
 use crate::sign_change::sign_change;
 
 /// Positions that are no farther apart are one target: mm or degrees.
@@ -190,11 +190,12 @@ impl Readings {
         if !self.runs_both_ways {
             return None;
         }
-        let (by, as_they_are, with) = rows_off(&self.means(), self.digit())?;
+        let in_order = InOrder { readings: &self.in_order, places: &self.places, ways: &self.ways };
+        let (by, as_they_are, with) = in_order.rows_off(self.digit())?;
         let (unit, which) = (self.unit, if by > 0 { "before" } else { "behind" });
         Some(format!(
-            "both directions differ along the travel by {as_they_are:.2} {unit} beside lost motion, and by {with:.2} {unit} if each reading \
-             is that of the row {which}: do readings stand a row beside their positions?"
+            "what looks like lost motion differs by {as_they_are:.2} {unit} along the travel, and by {with:.2} {unit} if each reading belongs \
+             to the row {which} it: do readings stand a row beside their positions?"
         ))
     }
 
