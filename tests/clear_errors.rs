@@ -69,15 +69,14 @@ fn an_age_that_a_broken_record_does_not_tell_is_an_error_of_the_record() {
         let calibration = "out/recipe/fine.calibration.json";
         small.abbe(&["compensate", calibration, "points.csv", "--max-age-days", "1", "--out", "corrected.csv"])
     };
-    for (text, why) in [
-        (&record[..record.len() / 2], "this is no"),
-        ("{}", "`abbe_run` is missing"),
-        ("", "this is not a JSON file"),
-    ] {
+    for (text, why) in
+        [(&record[..record.len() / 2], "this is no"), ("{}", "`abbe_run` is missing"), ("", "this is not a JSON file")]
+    {
         small.write("out/recipe/run.json", text);
         let printed = aged();
         let said = said(&printed);
-        let is_told = said.contains("out/recipe/run.json") && said.contains("how old the calibration is cannot be told");
+        let is_told =
+            said.contains("out/recipe/run.json") && said.contains("how old the calibration is cannot be told");
         assert!(printed.status != 0 && is_told, "{said}");
         assert!(said.contains(why) || text.starts_with("{\n"), "{why}: {said}");
         assert!(said.contains("a folder that `abbe run` wrote"), "{said}");
@@ -95,7 +94,9 @@ fn a_file_in_the_place_of_the_results_of_a_fleet_is_told() {
     Plant::of(2).write(at);
     ok(&quiet(at, &["fleet", "plan", "fleet.yaml"]));
     write(&at.join("fleet.results"), "mine");
-    for command in [&["fleet", "run", "fleet.manifest.jsonl"][..], &["fleet", "job", "fleet.manifest.jsonl", "--index", "0"]] {
+    for command in
+        [&["fleet", "run", "fleet.manifest.jsonl"][..], &["fleet", "job", "fleet.manifest.jsonl", "--index", "0"]]
+    {
         let printed = quiet(at, command);
         let said = said(&printed);
         let words = ["fleet.results", "results of the jobs go into a folder of this name", "move it away"];

@@ -66,7 +66,10 @@ fn a_channel_of_an_acceptance_test_in_another_unit_is_named() {
                     recipe.stage(stage)["path"] = json!(changed(&file, folder.path(), column, times(factor)));
                     let said = run(&recipe).1;
                     let found = said.contains(words);
-                    assert!(!found || said.contains(&format!("`{}` scatters", column.trim_end_matches("_um"))), "{said}");
+                    assert!(
+                        !found || said.contains(&format!("`{}` scatters", column.trim_end_matches("_um"))),
+                        "{said}"
+                    );
                     told += usize::from(found);
                 }
             }
@@ -127,7 +130,11 @@ fn readings_a_row_beside_their_positions_are_told() {
             let moved = |header: &[String], rows: &mut Vec<Vec<String>>| {
                 let reading = place(header, reading);
                 let mut all: Vec<String> = rows.iter().map(|row| row[reading].clone()).collect();
-                if late { all.rotate_right(1) } else { all.rotate_left(1) }
+                if late {
+                    all.rotate_right(1)
+                } else {
+                    all.rotate_left(1)
+                }
                 rows.iter_mut().zip(all).for_each(|(row, cell)| row[reading] = cell);
             };
             let file = with_rows(&recipe.path(stage, "path"), folder.path(), &moved);

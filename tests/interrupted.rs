@@ -314,7 +314,8 @@ fn pages_are_all_there_or_none_is_after_a_signal() {
             assert!(started.elapsed() < Duration::from_secs(100), "no page is written");
         }
         let signal = ["-INT", "-TERM", "-HUP"][number % 3];
-        let sent = std::process::Command::new("kill").args([signal, &run.id().to_string()]).stderr(Stdio::null()).status();
+        let sent =
+            std::process::Command::new("kill").args([signal, &run.id().to_string()]).stderr(Stdio::null()).status();
         began += usize::from(sent.is_ok_and(|sent| sent.success()));
         while run.try_wait().expect("it can be asked").is_none() {
             assert!(started.elapsed() < Duration::from_secs(100), "it does not end");

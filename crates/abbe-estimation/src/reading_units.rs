@@ -67,7 +67,8 @@ pub(crate) fn other_units(problem: &Problem, few: &Problem) -> Vec<(String, Vec<
         let Some((set, all, names)) = readings(problem, index) else { continue };
         let files: BTreeSet<usize> = all.iter().map(|reading| reading.file).collect();
         let whole = Chosen { set: index, channel: None, file: None };
-        let channels = (0..names.len()).filter(|_| names.len() > 1).map(|channel| Chosen { channel: Some(channel), ..whole });
+        let channels =
+            (0..names.len()).filter(|_| names.len() > 1).map(|channel| Chosen { channel: Some(channel), ..whole });
         let of_files = files.iter().filter(|_| (2..=FILES).contains(&files.len()));
         let of_files = of_files.map(|file| Chosen { file: Some(*file), ..whole });
         for chosen in [whole].into_iter().chain(channels).chain(of_files) {

@@ -307,7 +307,8 @@ impl Manifest {
             let bytes = rest.fill_buf().map_err(|error| unreadable(&self.path, &error))?;
             if let Some(place) = bytes.iter().position(|byte| !byte.is_ascii_whitespace()) {
                 let lines = bytes[..place].iter().filter(|byte| **byte == b'\n').count();
-                let message = format!("this line is behind the last of the {} jobs that the first line states", self.head.jobs);
+                let message =
+                    format!("this line is behind the last of the {} jobs that the first line states", self.head.jobs);
                 let help = "remove it; or plan the fleet again, with all its jobs: `abbe fleet plan`";
                 return Err(Error::data(message).at(&self.path, self.head.jobs + 2 + blank + lines, None).help(help));
             }

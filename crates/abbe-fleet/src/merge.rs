@@ -108,7 +108,8 @@ fn alone(manifest: &Manifest) -> Result<Option<File>> {
             Err(TryLockError::Error(_)) => return Ok(None),
         }
     }
-    let message = format!("another `abbe fleet merge` of this manifest is at work, for {} s now", (PAUSE * ASKED).as_secs());
+    let message =
+        format!("another `abbe fleet merge` of this manifest is at work, for {} s now", (PAUSE * ASKED).as_secs());
     Err(Error::data(message).in_file(&manifest.path).help("merge again when it has ended; nothing was changed"))
 }
 

@@ -9,8 +9,8 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::channel_units::other_unit;
 use crate::both_directions::{place_of_angle, smaller_direction};
+use crate::channel_units::other_unit;
 use crate::common::{
     Acceptance, Judge, Key, Limits, Sheet, against, check_limits, directions, doubted, faults, finite, names, run_name,
     too_quiet, undecided,

@@ -108,7 +108,18 @@ impl Readings {
         let is_turned = run_against_directions(steps.clone());
         let runs_both_ways = run_against_directions(steps.map(|(way, step)| (way, -step)));
         let places = positions.iter().map(|position| places[&(position * scale).to_bits()]).collect();
-        Ok(Self { name: run_name(data), axis, unit, targets, in_order, runs: of_runs, is_turned, runs_both_ways, ways, places })
+        Ok(Self {
+            name: run_name(data),
+            axis,
+            unit,
+            targets,
+            in_order,
+            runs: of_runs,
+            is_turned,
+            runs_both_ways,
+            ways,
+            places,
+        })
     }
 
     /// Faults of the instrument, signs and units that are wrong in a part of the rows, and repeats that are copies where these were not
@@ -126,7 +137,8 @@ impl Readings {
         let smaller = smaller_direction(&[&self.in_order], &self.ways, &self.places, self.unit);
         let signs =
             self.turned_run().or_else(|| self.turned_from_a_row()).or_else(|| mirrored(&self.means(), self.unit));
-        let displaced = if signs.is_some() { None } else { self.displaced_run() }.into_iter().chain(self.displaced_rows());
+        let displaced =
+            if signs.is_some() { None } else { self.displaced_run() }.into_iter().chain(self.displaced_rows());
         found.into_iter().chain(copied).chain(turned).chain(smaller).chain(signs).chain(displaced).collect()
     }
 

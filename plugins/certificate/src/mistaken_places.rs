@@ -9,6 +9,9 @@ pub const LEAST_SPREAD: f64 = 0.02;
 /// Fewest points that tell.
 const FEWEST: usize = 4;
 
+/// Part of the points that a mistake has to explain.
+const EXPLAINED: f64 = 0.8;
+
 /// Names of coordinates.
 const AXES: [&str; 3] = ["x", "y", "z"];
 
@@ -23,9 +26,17 @@ pub fn median(mut numbers: Vec<f64>) -> f64 {
 
 /// What is left of differences when their median, axis by axis, is taken off: that, and the median distance from it, mm.
 pub fn shift_and_spread(differences: &[[f64; 3]]) -> ([f64; 3], f64) {
+    let (shift, distances) = shift_and_distances(differences);
+    (shift, median(distances))
+}
+
+/// The median of differences, axis by axis, and the distances from it in their order of size, mm.
+fn shift_and_distances(differences: &[[f64; 3]]) -> ([f64; 3], Vec<f64>) {
     let shift = [0, 1, 2].map(|axis| median(differences.iter().map(|by| by[axis]).collect()));
     let distance = |by: &[f64; 3]| length([0, 1, 2].map(|axis| by[axis] - shift[axis]));
-    (shift, median(differences.iter().map(distance).collect()))
+    let mut distances: Vec<f64> = differences.iter().map(distance).collect();
+    distances.sort_by(f64::total_cmp);
+    (shift, distances)
 }
 
 /// The length of a vector.
@@ -61,7 +72,8 @@ fn trials() -> Vec<Trial> {
     };
     let mut all = Vec::new();
     for factor in UNITS {
-        let times = if factor > 1.0 { format!("{factor} times as far") } else { format!("1/{:.4} as far", 1.0 / factor) };
+        let times =
+            if factor > 1.0 { format!("{factor} times as far") } else { format!("1/{:.4} as far", 1.0 / factor) };
         let times = times.replace(".0000", "").replace("25.4000", "25.4");
         all.push(scaled(format!("{times} from each other, as in another unit"), [factor; 3]));
         for (axis, name) in AXES.iter().enumerate() {
@@ -87,17 +99,18 @@ fn trials() -> Vec<Trial> {
 /// The mistake that explains where points were found, if they are far from where they are expected and near with it. The part may lie
 /// beside its place, or turned: no mistake explains that.
 pub fn mistaken(expected: &[[f64; 3]], found: &[[f64; 3]]) -> Option<Mistaken> {
-    let spread = |places: &[[f64; 3]]| {
+    let spread = |places: &[[f64; 3]], part: f64| {
         let differences = found.iter().zip(places).map(|(found, at)| [0, 1, 2].map(|axis| found[axis] - at[axis]));
-        shift_and_spread(&differences.collect::<Vec<_>>()).1
+        let distances = shift_and_distances(&differences.collect::<Vec<_>>()).1;
+        distances.get((part * distances.len() as f64) as usize).copied().unwrap_or_default()
     };
-    let without = spread(expected);
+    let without = spread(expected, 0.5);
     if expected.len() < FEWEST || without < FAR * LEAST_SPREAD {
         return None;
     }
     let explains = |trial: Trial| {
         let places: Vec<[f64; 3]> = expected.iter().map(|at| (trial.change)(*at)).collect();
-        let (with, widths) = (spread(&places), widths(&places));
+        let (with, widths) = (spread(&places, EXPLAINED), widths(&places));
         // Points that lie in a line are mirrored by a turn of the part, and points at one place are where anything would put them.
         let width = if trial.is_told_by_a_line { widths[2] } else { widths[1] };
         let is_explained = FAR * with.max(LEAST_SPREAD) < without && FAR * with < width;
@@ -131,7 +144,8 @@ mod tests {
         let size = 10_f64.powf(1.5 + 0.5 * random.normal().clamp(-2.0, 2.0));
         let step = if seed % 4 < 2 { size / 3.0 } else { 1e-3 };
         let place = |random: &mut Generator| {
-            let at = [0, 1, 2].map(|axis| if axis < dimensions { (size * random.normal() / step).round() * step } else { 5.0 });
+            let at = [0, 1, 2]
+                .map(|axis| if axis < dimensions { (size * random.normal() / step).round() * step } else { 5.0 });
             [0, 1, 2].map(|axis| at[(axis + seed as usize) % 3])
         };
         let expected: Vec<[f64; 3]> = (0..count).map(|_| place(&mut random)).collect();

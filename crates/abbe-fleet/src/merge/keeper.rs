@@ -93,7 +93,8 @@ mod tests {
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
         // What is no history stays, and is told.
         let other = Keeper::open(folder.path().join("more.sqlite").to_str().unwrap()).unwrap();
-        std::fs::write(folder.path().join("more.sqlite"), "call the plant, it was late, and nobody was there any more").unwrap();
+        std::fs::write(folder.path().join("more.sqlite"), "call the plant, it was late, and nobody was there any more")
+            .unwrap();
         assert!(other.finish().unwrap_err().message.contains("no history"));
         assert!(std::fs::read_to_string(folder.path().join("more.sqlite")).unwrap().starts_with("call"));
     }

@@ -15,15 +15,19 @@ const ASYNCHRONOUS: f64 = 5.0;
 const CLEAR: f64 = 10.0;
 
 /// Factors that people mistake, and the part by which a ratio may be off one of them. An eccentric artefact is seen alike within that.
-const UNITS: [(f64, &str); 3] =
-    [(25.4, "25.4, as inches are to millimetres"), (1e3, "1000, as millimetres are to micrometres"), (39.37, "39.4, as 0.001 inch is to micrometres")];
+const UNITS: [(f64, &str); 3] = [
+    (25.4, "25.4, as inches are to millimetres"),
+    (1e3, "1000, as millimetres are to micrometres"),
+    (39.37, "39.4, as 0.001 inch is to micrometres"),
+];
 const NEAR: f64 = 0.2;
 
 /// A sentence on a pair of sensors of which one reads far less of everything than the other.
 pub fn other_unit(calibration: &Calibration, motion: &Motion, checked: &Checked) -> Option<String> {
     let names: Vec<&String> = motion.radial.keys().collect();
     let &[one, other] = &names[..] else { return None };
-    let (sizes, uncertainties): (Vec<f64>, Vec<f64>) = [0, 1].map(|sensor| checked.order(sensor, 1)).into_iter().unzip();
+    let (sizes, uncertainties): (Vec<f64>, Vec<f64>) =
+        [0, 1].map(|sensor| checked.order(sensor, 1)).into_iter().unzip();
     let of = |name: &str| value(calibration, &format!("run[{}].async.{name}", checked.run));
     let asynchronous = [of(one)?, of(other)?];
     let (small, large) = if sizes[0] < sizes[1] { (0, 1) } else { (1, 0) };
