@@ -64,7 +64,7 @@ pub fn run_off(runs: &[&OfRun], digit: f64) -> Option<Off> {
 /// Fewest targets that tell rows beside their positions, and how many times better both directions then agree: more where there are few.
 const TARGETS: usize = 5;
 const BETTER: f64 = 4.0;
-const FEW: f64 = 2.0;
+const FEW: f64 = 3.5;
 
 /// Readings in the order of their rows, each with its target and direction (up or not).
 pub struct InOrder<'a> {

@@ -7,7 +7,7 @@ pub const FAR: f64 = 10.0;
 pub const LEAST_SPREAD: f64 = 0.02;
 
 /// Fewest points that tell.
-const FEWEST: usize = 4;
+const FEWEST: usize = 6;
 
 /// Part of the points that a mistake has to explain.
 const EXPLAINED: f64 = 0.8;
