@@ -1,5 +1,6 @@
 //! Fleets: whatever happens to jobs, the merged results are those of one process, and the values are those of single runs.
 
+mod at_once;
 mod manifests;
 pub(crate) mod plant;
 pub(crate) mod shards;

@@ -280,3 +280,50 @@ fn in_batches_by(small: &Small, signal: &str, expected: i32, stage: &str) {
     assert!(left.is_empty(), "{stage} {signal}: {left:?}");
     fs::remove_dir(&temporary).expect("it is empty");
 }
+
+/// A signal at any time while pages are written leaves all pages or none, and nothing temporary.
+#[cfg(unix)]
+#[test]
+fn pages_are_all_there_or_none_is_after_a_signal() {
+    use std::time::{Duration, Instant};
+
+    let env = std::process::Command::new("env").args([DEFAULT_SIGNALS, "true"]).stderr(Stdio::null()).status();
+    if !env.is_ok_and(|status| status.success()) {
+        return crate::support::skipped("interrupted", "`env --default-signal` of GNU coreutils is not there");
+    }
+    let folder = crate::support::temporary();
+    let pages = |name: &str| {
+        let entries = fs::read_dir(folder.path().join(name)).into_iter().flatten().flatten();
+        entries.map(|entry| entry.file_name()).collect::<std::collections::BTreeSet<_>>()
+    };
+    assert_eq!(crate::support::abbe(folder.path(), &["plugins", "--pages", "whole"]).status, 0);
+    let whole = pages("whole");
+    let (mut began, mut ended) = (0, 0);
+    for number in 0..24 {
+        let name = format!("pages-{number}");
+        let mut run = std::process::Command::new("env")
+            .args([DEFAULT_SIGNALS, env!("CARGO_BIN_EXE_abbe-under-test"), "plugins", "--pages", &name])
+            .current_dir(folder.path())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("the program starts");
+        let started = Instant::now();
+        // Before it begins, or with some pages there.
+        while pages(&name).len() < (number % 8) * 10 && run.try_wait().expect("it can be asked").is_none() {
+            assert!(started.elapsed() < Duration::from_secs(100), "no page is written");
+        }
+        let signal = ["-INT", "-TERM", "-HUP"][number % 3];
+        let sent =
+            std::process::Command::new("kill").args([signal, &run.id().to_string()]).stderr(Stdio::null()).status();
+        began += usize::from(sent.is_ok_and(|sent| sent.success()));
+        while run.try_wait().expect("it can be asked").is_none() {
+            assert!(started.elapsed() < Duration::from_secs(100), "it does not end");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let found = pages(&name);
+        assert!(found.is_empty() || found == whole, "{number}: {} of {} pages", found.len(), whole.len());
+        ended += usize::from(!found.is_empty());
+    }
+    assert!(began > 0 && ended > 0, "{began} signals, {ended} with pages");
+}

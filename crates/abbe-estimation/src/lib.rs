@@ -66,6 +66,7 @@ mod probe_offset;
 mod propagation;
 mod quiet_channels;
 mod rank;
+mod reading_units;
 mod remarks;
 mod repeated_rows;
 pub mod repeats;

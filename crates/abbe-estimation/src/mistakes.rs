@@ -7,6 +7,7 @@ use abbe_numerics::{End, Options, solve_from};
 
 use crate::plausibility::large_errors_at;
 use crate::plausible::Plausible;
+use crate::reading_units::other_units;
 use crate::separation::spread_out;
 use crate::weighted::Weighted;
 
@@ -48,12 +49,23 @@ const TOLD: usize = 2;
 
 /// Sentences on the mistakes that explain a problem best, the best first; none if none does.
 ///
-/// `plausible` tells which errors are none. Only mistakes in what was recorded are tried: signs, swapped columns, units.
+/// `plausible` tells which errors are none. Only mistakes in what was recorded are tried: signs, swapped columns, units; of readings the
+/// units with which they scatter from row to row as stated.
 pub fn likely_mistakes(problem: &Problem, plausible: &Plausible) -> Result<Vec<String>> {
     // Some rows tell a sign or a unit as well as all.
     let quiet = spread(problem, ROWS).watched_by(Monitor::default());
     let (as_it_is, as_recorded) = (Trial::new(&quiet, plausible), off(&quiet));
     let mut found = Vec::new();
+    let explains = |trial: &Trial| match &as_it_is {
+        None => trial.is_plausible,
+        Some(now) if now.is_plausible => trial.is_plausible && trial.median < FALLS * now.median,
+        Some(now) => trial.is_plausible && { trial.median < STAYS * now.median || trial.in_uncertainties < GOOD },
+    };
+    for (without, added) in other_units(problem, &quiet) {
+        problem.monitor.check()?;
+        let trial = Trial::new(&quiet.disturbed(&added), plausible).filter(|trial| trial.in_uncertainties < GOOD);
+        found.extend(trial.filter(&explains).map(|trial| (without, trial)));
+    }
     for Mistake { without, correct, scaled } in mistakes(quiet.model.info()) {
         // Whoever watches the work can end it here.
         problem.monitor.check()?;
@@ -66,12 +78,7 @@ pub fn likely_mistakes(problem: &Problem, plausible: &Plausible) -> Result<Vec<S
             continue;
         }
         let Some(trial) = Trial::new(&other, plausible).filter(Trial::is_of_a_machine) else { continue };
-        let explains = match &as_it_is {
-            None => trial.is_plausible,
-            Some(now) if now.is_plausible => trial.is_plausible && trial.median < FALLS * now.median,
-            Some(now) => trial.is_plausible && { trial.median < STAYS * now.median || trial.in_uncertainties < GOOD },
-        };
-        if explains {
+        if explains(&trial) {
             found.push((without, trial));
         }
     }

@@ -41,11 +41,11 @@ struct Group {
 }
 
 /// A reading: its equation, its file and its channel.
-struct Reading {
-    equation: usize,
-    file: usize,
-    channel: usize,
-    value: f64,
+pub(crate) struct Reading {
+    pub equation: usize,
+    pub file: usize,
+    pub channel: usize,
+    pub value: f64,
 }
 
 /// The sentence on the readings that agree with the rest if their signs are turned; none if they do as they are.
@@ -154,7 +154,7 @@ fn groups(problem: &Problem) -> Vec<Group> {
 }
 
 /// The readings of a set and the names of its channels; none if it has none.
-fn readings(problem: &Problem, index: SetIndex) -> Option<(&ObservationSet, Vec<Reading>, Vec<String>)> {
+pub(crate) fn readings(problem: &Problem, index: SetIndex) -> Option<(&ObservationSet, Vec<Reading>, Vec<String>)> {
     let set = &problem.sets[index];
     let (layout, names) = (&set.info().layout, channels_of(set));
     let columns: Vec<&[f64]> = names.iter().map(|name| layout.data.numbers(name)).collect::<Option<_>>()?;

@@ -22,11 +22,19 @@ pub const LARGEST_RESULT: u64 = 512 << 20;
 /// # Errors
 /// As [`File::open`]; and [`io::ErrorKind::InvalidInput`] for a folder, a named pipe, a socket or a device, which are not opened.
 pub fn open(path: &Path) -> io::Result<File> {
-    // Opening a named pipe waits for somebody who writes: it is looked at first.
-    regular(&fs::metadata(path)?)?;
-    let file = File::open(path)?;
-    regular(&file.metadata()?)?;
-    Ok(file)
+    let opened = || {
+        // Opening a named pipe waits for somebody who writes: it is looked at first.
+        regular(&fs::metadata(path)?)?;
+        let file = File::open(path)?;
+        regular(&file.metadata()?)?;
+        Ok(file)
+    };
+    opened().map_err(in_words)
+}
+
+/// An error with the words of [`why`].
+fn in_words(error: io::Error) -> io::Error {
+    io::Error::new(error.kind(), why(&error))
 }
 
 /// The content of a regular file of `most` bytes at most.
@@ -35,7 +43,7 @@ pub fn open(path: &Path) -> io::Result<File> {
 /// As [`open`]; and [`io::ErrorKind::FileTooLarge`] for a file that is larger.
 pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let mut content = Vec::new();
-    open(path)?.take(most.saturating_add(1)).read_to_end(&mut content)?;
+    open(path)?.take(most.saturating_add(1)).read_to_end(&mut content).map_err(in_words)?;
     match content.len() as u64 > most {
         true => {
             let message = format!("it is larger than {} MiB, the most that is read", most >> 20);
@@ -66,8 +74,31 @@ pub fn why(error: &io::Error) -> String {
             "it would be larger than files may be here (`ulimit -f`)".to_owned()
         }
         io::ErrorKind::QuotaExceeded => "the quota of the disk is used up".to_owned(),
-        _ => error.to_string(),
+        kind => {
+            let text = error.to_string();
+            // The number, and the path of a temporary file that nobody knows behind it, are of no use.
+            match text.rsplit_once(" (os error ") {
+                Some((words, _)) => of_the_system(kind).unwrap_or(words).to_owned(),
+                None => text,
+            }
+        }
     }
+}
+
+/// What the system says in words of its own that are not for people.
+fn of_the_system(kind: io::ErrorKind) -> Option<&'static str> {
+    Some(match kind {
+        io::ErrorKind::NotFound => "there is no such file or folder",
+        io::ErrorKind::PermissionDenied => "this user has no permission",
+        io::ErrorKind::AlreadyExists => "something is there already",
+        io::ErrorKind::NotADirectory => "something on the way to it is no folder",
+        io::ErrorKind::IsADirectory => "it is a folder",
+        io::ErrorKind::DirectoryNotEmpty => "it is a folder with something in it",
+        io::ErrorKind::ReadOnlyFilesystem => "the disk can only be read",
+        io::ErrorKind::InvalidFilename => "the name is too long for the disk, or has letters that it does not take",
+        io::ErrorKind::ResourceBusy => "it is in use",
+        _ => return None,
+    })
 }
 
 /// Whether two paths are one file, however they are written: the same place, or links to the same content. Neither has to exist.
@@ -166,6 +197,18 @@ mod tests {
         assert_eq!(refused(&file), "it is no text in UTF-8 (line 2, byte 2 of the file)");
         assert_eq!(refused(folder.path()), "it is a folder; a file was expected");
         assert_eq!(read(&folder.path().join("b"), 4).unwrap_err().kind(), io::ErrorKind::NotFound);
+        assert_eq!(refused(&folder.path().join("b")), "there is no such file or folder");
+        assert_eq!(refused(&file.join("b")), "something on the way to it is no folder");
+    }
+
+    /// Whatever the system says, people get no number of it.
+    #[test]
+    fn numbers_of_the_system_are_left_out() {
+        for number in 1..134 {
+            let said = why(&io::Error::from_raw_os_error(number));
+            assert!(!said.contains("os error") && said.len() > 3, "{number}: {said}");
+        }
+        assert_eq!(why(&io::Error::other("it is (os) x")), "it is (os) x");
     }
 
     #[cfg(unix)]

@@ -279,13 +279,15 @@ impl Manifest {
     /// Calls `take` with the lines of jobs, by their numbers from 0, without reading them.
     ///
     /// # Errors
-    /// If the file cannot be read or lacks one of them; and what `take` fails with.
+    /// If the file cannot be read or lacks one of them, or has lines behind its last job if that is one of them; and what `take` fails
+    /// with.
     pub fn each_line(&self, range: Range<usize>, mut take: impl FnMut(usize, String) -> Result<()>) -> Result<()> {
         let file = File::open(&self.path).map_err(|error| unreadable(&self.path, &error))?;
         let mut reader = BufReader::with_capacity(1 << 18, file);
         for _ in 0..=range.start.min(self.head.jobs) {
             reader.skip_until(b'\n').map_err(|error| unreadable(&self.path, &error))?;
         }
+        let end = range.end;
         for index in range {
             let mut line = String::new();
             let count = reader.read_line(&mut line).map_err(|error| unreadable(&self.path, &error))?;
@@ -295,7 +297,28 @@ impl Manifest {
             }
             take(index, line)?;
         }
-        Ok(())
+        if end == self.head.jobs { self.nothing_more(reader) } else { Ok(()) }
+    }
+
+    /// Fails if there is anything behind the last job: nobody would do it.
+    fn nothing_more(&self, mut rest: impl BufRead) -> Result<()> {
+        let mut blank = 0;
+        loop {
+            let bytes = rest.fill_buf().map_err(|error| unreadable(&self.path, &error))?;
+            if let Some(place) = bytes.iter().position(|byte| !byte.is_ascii_whitespace()) {
+                let lines = bytes[..place].iter().filter(|byte| **byte == b'\n').count();
+                let message =
+                    format!("this line is behind the last of the {} jobs that the first line states", self.head.jobs);
+                let help = "remove it; or plan the fleet again, with all its jobs: `abbe fleet plan`";
+                return Err(Error::data(message).at(&self.path, self.head.jobs + 2 + blank + lines, None).help(help));
+            }
+            blank += bytes.iter().filter(|byte| **byte == b'\n').count();
+            let count = bytes.len();
+            if count == 0 {
+                return Ok(());
+            }
+            rest.consume(count);
+        }
     }
 
     /// Calls `take` with jobs.

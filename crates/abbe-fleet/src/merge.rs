@@ -4,8 +4,9 @@ mod blocks;
 mod keeper;
 mod names;
 
-use std::fs;
+use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use abbe_core::{Calibration, Decision, Error, Result, Verdict};
 use abbe_history::{Entry, Stored};
@@ -45,7 +46,8 @@ pub struct Merged {
 /// Jobs that failed are told, and cost no others; jobs that nobody has done yet are an error unless `partial`.
 ///
 /// # Errors
-/// For open jobs, for results of another fleet, and if the disk or the history does not take what is written.
+/// For open jobs, for results of another fleet, if the disk or the history does not take what is written, and while another merge of
+/// this manifest is at work, after a minute.
 pub fn merge(
     manifest: &Manifest,
     out: &Path,
@@ -56,6 +58,7 @@ pub fn merge(
     if !partial {
         none_open(manifest)?;
     }
+    let _alone = alone(manifest)?;
     let (mut last, mut shards, mut families) = (None, Vec::new(), Vec::new());
     fs::create_dir_all(out).map_err(|error| unwritable(out, &error).help("name a folder: `--out`"))?;
     for family in &manifest.head.families {
@@ -78,17 +81,36 @@ pub fn merge(
         (_, _, Some(_)) => merging.shard(&mut shards, job, partial, registries),
         _ => merging.job(&job),
     })?;
-    let Merging { tables, keeper, merged, mut own, .. } = merging;
+    let Merging { tables, keeper, mut merged, mut own, .. } = merging;
     if !partial && merged.open > 0 {
         // A result that is damaged is none.
         return Err(still_open(manifest, merged.open, None));
     }
     if let Some(keeper) = keeper {
-        keeper.finish()?;
+        merged.entries -= keeper.finish()?;
     }
     tables.finish(&mut own)?;
     own.finish()?;
     Ok(merged)
+}
+
+/// How often, and how long after each other, a merge asks whether another one of its manifest has ended.
+const ASKED: u32 = 600;
+const PAUSE: Duration = Duration::from_millis(100);
+
+/// A lock on the folder of results: one merge of it is at work at a time. None where there are no results, or no locks.
+fn alone(manifest: &Manifest) -> Result<Option<File>> {
+    let Ok(folder) = File::open(manifest.beside_it("results")) else { return Ok(None) };
+    for _ in 0..ASKED {
+        match folder.try_lock() {
+            Ok(()) => return Ok(Some(folder)),
+            Err(TryLockError::WouldBlock) => std::thread::sleep(PAUSE),
+            Err(TryLockError::Error(_)) => return Ok(None),
+        }
+    }
+    let message =
+        format!("another `abbe fleet merge` of this manifest is at work, for {} s now", (PAUSE * ASKED).as_secs());
+    Err(Error::data(message).in_file(&manifest.path).help("merge again when it has ended; nothing was changed"))
 }
 
 /// Fails if there are jobs that nobody has tried.

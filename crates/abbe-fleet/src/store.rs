@@ -120,6 +120,20 @@ impl Store {
         serde_json::from_str(&text).ok().map(|mark: FailureMark| mark.reason)
     }
 
+    /// Fails if something stands in the place of the folder, so that no result could be kept.
+    ///
+    /// # Errors
+    /// With what is there, and what to do.
+    pub fn can_be_written(&self) -> Result<()> {
+        match fs::metadata(&self.folder) {
+            Ok(found) if !found.is_dir() => {
+                let error = Error::data("this is no folder, and the results of the jobs go into a folder of this name");
+                Err(error.in_file(&self.folder).help("move it away"))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Removes what killed workers have left half written.
     pub fn clear(&self) {
         // Behind a link lies a folder of somebody else.
@@ -211,6 +225,9 @@ mod tests {
         fs::create_dir_all(store.result_file(&other).parent().unwrap()).unwrap();
         fs::write(store.result_file(&other), &whole).unwrap();
         assert_eq!(store.get(&other), None);
+        store.can_be_written().unwrap();
+        let told = Store::new(&file).can_be_written().unwrap_err();
+        assert!(told.message.contains("no folder") && told.help.as_deref() == Some("move it away"), "{told:?}");
         store.put(&job, b"").unwrap();
         assert_eq!(store.get(&job).as_deref(), Some(&b""[..]));
         let new = folder.path().join("results/new");

@@ -62,6 +62,7 @@ pub fn supervise(
     told: &(dyn Fn(usize) + Sync),
 ) -> Result<Finished> {
     let store = manifest.store();
+    store.can_be_written()?;
     store.clear();
     let (mut tasks, mut finished) = (VecDeque::new(), Finished::default());
     let mut refused = Vec::new();

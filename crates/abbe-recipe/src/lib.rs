@@ -141,6 +141,7 @@ impl Recipe {
 
     fn of_document(path: &Path, text: &str, document: Document, registry: &Registry) -> Result<Self, Error> {
         let base = path.parent().unwrap_or(Path::new("")).to_owned();
+        has_a_name(path)?;
         let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
         // A folder of results is named after the recipe, and lies in the one that `--out` names.
         let id = stem.filter(|stem| !stem.chars().all(|letter| letter == '.')).unwrap_or_else(|| "recipe".to_owned());
@@ -201,6 +202,15 @@ impl Recipe {
         }
         Ok(Some(plan))
     }
+}
+
+/// Refuses a recipe whose name is no text: results lie in a folder of its name, and two such names would be the same there.
+fn has_a_name(path: &Path) -> Result<(), Error> {
+    if path.file_stem().is_none_or(|stem| stem.to_str().is_some()) {
+        return Ok(());
+    }
+    let message = "the name of this file is no text in UTF-8, and results lie in a folder of the name of their recipe";
+    Err(Error::usage(message).in_file(path).help("give the file another name"))
 }
 
 fn read_text(path: &Path) -> Result<String, Error> {

@@ -17,11 +17,12 @@ pub struct FileFormat {
 }
 
 impl FileFormat {
-    /// Reads the text of a file. Keys that are not known are left alone: a later program may add some (`docs/formats.md`).
+    /// Reads the text of a file, with a byte order mark or without. Keys that are not known are left alone: a later program may add some (`docs/formats.md`).
     ///
     /// Fails on text that is no JSON, without a number or with another one, and on missing or wrong parts, with line and column.
     pub fn read<T: DeserializeOwned>(self, text: &str) -> Result<T> {
         let Self { name, key, .. } = self;
+        let text = without_mark(text);
         match value_in_json(text, key).map_err(|error| broken(&error))? {
             None => return Err(Error::data(format!("this is not a {name}: the key `{key}` is missing"))),
             Some(found) => self.check(&found)?,
@@ -45,7 +46,12 @@ impl FileFormat {
 
 /// JSON of any kind, with every key once.
 pub(crate) fn parse(text: &str) -> Result<Value> {
-    from_json(text).map_err(|error| broken(&error))
+    from_json(without_mark(text)).map_err(|error| broken(&error))
+}
+
+/// A text without the byte order mark that some editors write before it.
+fn without_mark(text: &str) -> &str {
+    text.strip_prefix('\u{feff}').unwrap_or(text)
 }
 
 /// JSON that cannot be read: a key that stands twice, or no JSON.

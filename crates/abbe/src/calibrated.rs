@@ -157,10 +157,17 @@ fn check_as_written(file: &Path) -> Result<()> {
 /// Refuses a calibration of a run that is too old, or of which the time is not known.
 fn check_age(file: &Path, most: f64) -> Result<()> {
     let record = file.with_file_name("run.json");
-    let Some(run) = run_of(file) else {
+    if record.symlink_metadata().is_err() {
         let message = format!("how old the calibration is cannot be told without `{}`", record.display());
-        return Err(Error::data(message).in_file(file));
+        return Err(Error::data(message).in_file(file).help("use the calibration in the folder of its run"));
+    }
+    let broken = |why: &str| {
+        let message = format!("how old the calibration is cannot be told: this is no record of a run: {why}");
+        let help = "use the calibration in a folder that `abbe run` wrote, with `run.json` as it was written";
+        Error::data(message).in_file(&record).help(help)
     };
+    let text = read_text(&record, LARGEST_RESULT).map_err(|error| broken(&error.to_string()))?;
+    let run = RunRecord::from_json(&text).map_err(|error| broken(&error.message))?;
     let name = file.file_name().unwrap_or_default().to_string_lossy();
     if !abbe_files::read(file, LARGEST_RESULT).is_ok_and(|content| run.wrote(&name, &content)) {
         let message = format!("`{}` is not of the run that wrote this file as it is now", record.display());

@@ -206,7 +206,7 @@ fn inside<T>(folder: &Path, work: impl FnOnce() -> Result<T>) -> Result<T> {
 }
 
 fn cannot_enter(folder: &Path, error: &io::Error) -> Error {
-    Error::usage(format!("{} cannot be used: {error}", folder.display()))
+    Error::usage(format!("{} cannot be used: {}", folder.display(), abbe_files::why(error)))
 }
 
 /// Does jobs, and the rounds of estimates in shards that follow from them, until there are no more.

@@ -268,6 +268,31 @@ fn turned(all: &[Measured]) -> Vec<(usize, String)> {
     (0..all.len()).filter_map(told).collect()
 }
 
+/// Diagonals over other travels than the others of their sort, which are alike, in words.
+fn other_boxes(all: &[Measured]) -> Vec<String> {
+    let travels = |own: &Measured| own.diagonal.way.map(f64::abs);
+    let is_alike = |one: [f64; 3], other: [f64; 3]| {
+        let longest = one.iter().chain(&other).fold(0.0_f64, |longest, own| longest.max(*own));
+        (0..3).all(|axis| (one[axis] - other[axis]).abs() <= 1e-3 * longest)
+    };
+    let told = |own: &Measured| {
+        let others = || all.iter().filter(|other| other.kind == own.kind && !std::ptr::eq(*other, own));
+        let [first, ..] = others().map(travels).collect::<Vec<_>>()[..] else { return None };
+        let fewest = if own.kind == Kind::Body { 2 } else { 1 };
+        let others_agree = others().count() >= fewest && others().all(|other| is_alike(first, travels(other)));
+        (others_agree && !is_alike(first, travels(own))).then(|| {
+            let shown = |travels: [f64; 3]| travels.map(|travel| format!("{travel:.1}")).join(" x ");
+            format!(
+                "{}: it goes over {} mm, the other diagonals of its sort over {} mm: ISO 230-6 compares diagonals of one box",
+                own.name,
+                shown(travels(own)),
+                shown(first)
+            )
+        })
+    };
+    all.iter().filter_map(told).collect()
+}
+
 fn alike(one: [f64; 2], other: [f64; 2]) -> bool {
     (0..2).all(|k| (one[k] - other[k]).abs() <= 1e-3 * one[k])
 }
@@ -305,6 +330,7 @@ impl Acceptance for Diagonals {
              diagonals; figures of each are those of ISO 230-2:2014"
         ));
         let mut all: Vec<Measured> = data.iter().map(|data| self.one(data, &mut findings)).collect::<Result<_>>()?;
+        findings.remarks.extend(other_boxes(&all));
         let turned = turned(&all);
         findings.remarks.extend(turned.iter().map(|(place, words)| format!("{}: {words}", all[*place].name)));
         for (place, words) in turned {

@@ -2,12 +2,14 @@
 //! data that Abbe reads. The figures are those of `abbe-standards`.
 
 mod both_directions;
+mod channel_units;
 mod circle_positions;
 mod circular;
 mod cmm_lengths;
 mod cmm_probing;
 mod common;
 mod diagonals;
+mod displaced;
 mod positioning;
 mod rotary_interpolation;
 mod rotary_readings;

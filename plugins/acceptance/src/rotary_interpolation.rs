@@ -10,6 +10,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::both_directions::{place_of_angle, smaller_direction};
+use crate::channel_units::other_unit;
 use crate::common::{
     Acceptance, Judge, Key, Limits, Sheet, against, check_limits, directions, doubted, faults, finite, names, run_name,
     too_quiet, undecided,
@@ -261,6 +262,9 @@ impl Rotary {
         let um: Vec<Vec<f64>> = columns.iter().map(|column| column.iter().map(|value| 1e3 * value).collect()).collect();
         let places: Vec<usize> = angles.iter().map(|angle| place_of_angle(*angle)).collect();
         faults.extend(smaller_direction(&um.iter().map(Vec::as_slice).collect::<Vec<_>>(), &ways, &places, "um"));
+        let named_um: Vec<(&str, &[f64])> =
+            self.readings.iter().map(String::as_str).zip(um.iter().map(Vec::as_slice)).collect();
+        faults.extend(other_unit(&named_um, self.standard_uncertainty_um, "um"));
         findings.remarks.extend(too_quiet(&run, &um.concat(), self.standard_uncertainty_um, "um"));
         let of_axis = self.direction.zip(self.ball_from_axis_mm);
         let path = of_axis.map(|of_axis| self.path(data, angles, of_axis)).transpose()?;

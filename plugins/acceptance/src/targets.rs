@@ -3,18 +3,17 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{DataRow, Dataset, Error, Quantity, Result};
+use abbe_numerics::resolution;
 use abbe_standards::positioning::Target;
 use abbe_standards::positioning::plan::Axis;
 
 use crate::both_directions::{mirrored, smaller_direction};
 use crate::common::{copied_repeats, directions, faults, finite, no_data, run_name};
+use crate::displaced::{InOrder, OfRun, run_off};
 use crate::sign_change::sign_change;
 
 /// Positions that are no farther apart are one target: mm or degrees.
 const SAME: f64 = 1e-3;
-
-/// The readings of a run by target and direction (up or not).
-type OfRun = BTreeMap<(usize, bool), f64>;
 
 /// The readings of one axis.
 pub struct Readings {
@@ -30,8 +29,9 @@ pub struct Readings {
     pub in_order: Vec<f64>,
     /// The readings of each run, where runs have labels.
     runs: Vec<(String, OfRun)>,
-    /// Whether the rows of both directions run against them.
+    /// Whether the rows of both directions run against them, and whether all run with them.
     is_turned: bool,
+    runs_both_ways: bool,
     /// Whether each row is in the positive direction, and its target.
     ways: Vec<bool>,
     places: Vec<usize>,
@@ -105,9 +105,21 @@ impl Readings {
         let steps = (1..positions.len())
             .filter(|row| ways[*row] == ways[row - 1] && of_one_run(*row))
             .map(|row| (ways[row], (positions[row] - positions[row - 1]) * scale));
-        let is_turned = run_against_directions(steps);
+        let is_turned = run_against_directions(steps.clone());
+        let runs_both_ways = run_against_directions(steps.map(|(way, step)| (way, -step)));
         let places = positions.iter().map(|position| places[&(position * scale).to_bits()]).collect();
-        Ok(Self { name: run_name(data), axis, unit, targets, in_order, runs: of_runs, is_turned, ways, places })
+        Ok(Self {
+            name: run_name(data),
+            axis,
+            unit,
+            targets,
+            in_order,
+            runs: of_runs,
+            is_turned,
+            runs_both_ways,
+            ways,
+            places,
+        })
     }
 
     /// Faults of the instrument, signs and units that are wrong in a part of the rows, and repeats that are copies where these were not
@@ -125,7 +137,9 @@ impl Readings {
         let smaller = smaller_direction(&[&self.in_order], &self.ways, &self.places, self.unit);
         let signs =
             self.turned_run().or_else(|| self.turned_from_a_row()).or_else(|| mirrored(&self.means(), self.unit));
-        found.into_iter().chain(copied).chain(turned).chain(smaller).chain(signs).collect()
+        let displaced =
+            if signs.is_some() { None } else { self.displaced_run() }.into_iter().chain(self.displaced_rows());
+        found.into_iter().chain(copied).chain(turned).chain(smaller).chain(signs).chain(displaced).collect()
     }
 
     /// Mean readings up and down of the targets that have both.
@@ -165,6 +179,36 @@ impl Readings {
                 self.runs[run].0
             )
         })
+    }
+
+    /// The step of the digits of readings; zero if they have none.
+    fn digit(&self) -> f64 {
+        resolution(&self.in_order).unwrap_or(0.0)
+    }
+
+    /// A run that is off as a whole, in words.
+    fn displaced_run(&self) -> Option<String> {
+        let runs: Vec<&OfRun> = self.runs.iter().map(|(_, readings)| readings).collect();
+        let (off, unit) = (run_off(&runs, self.digit())?, self.unit);
+        Some(format!(
+            "run {} is {:.2} {unit} off at all targets, and the others are within {:.2} {unit} of each other: was the zero of the \
+             instrument lost before or after it?",
+            self.runs[off.run].0, off.by, off.usual
+        ))
+    }
+
+    /// Readings that stand a row beside their positions, in words, where rows run forwards and backwards.
+    fn displaced_rows(&self) -> Option<String> {
+        if !self.runs_both_ways {
+            return None;
+        }
+        let in_order = InOrder { readings: &self.in_order, places: &self.places, ways: &self.ways };
+        let (by, as_they_are, with) = in_order.rows_off(self.digit())?;
+        let (unit, which) = (self.unit, if by > 0 { "before" } else { "behind" });
+        Some(format!(
+            "what looks like lost motion differs by {as_they_are:.2} {unit} along the travel, and by {with:.2} {unit} if each reading belongs \
+             to the row {which} it: do readings stand a row beside their positions?"
+        ))
     }
 
     /// Readings that repeat those before them with the sign turned, from one row on, in words.

@@ -8,6 +8,7 @@ mod conformity;
 mod contents;
 mod draft;
 mod element;
+mod mistaken_places;
 mod page;
 mod qif;
 mod readable;

@@ -15,6 +15,7 @@ use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
 use crate::element::Element;
+use crate::mistaken_places::{FAR, LEAST_SPREAD, Mistaken, length, mistaken, shift_and_spread};
 
 abbe_core::register!(
     Export,
@@ -89,21 +90,11 @@ impl Export for QifResults {
     }
 }
 
-/// How far a point is from its nominal place that is another one, over the spread of all, and how near to that of the other.
-const FAR: f64 = 10.0;
+/// How near to the nominal place of another point one is that is this one, over the spread of all.
 const NEAR: f64 = 3.0;
-
-/// Smallest spread that counts, mm: points of parts are hardly ever nearer to each other than ten times of it.
-const LEAST_SPREAD: f64 = 0.02;
 
 /// Most points that are looked for among the others.
 const TRIED: usize = 100;
-
-/// The number in the middle; zero if there is none.
-fn median(mut numbers: Vec<f64>) -> f64 {
-    numbers.sort_by(f64::total_cmp);
-    numbers.get(numbers.len() / 2).copied().unwrap_or_default()
-}
 
 /// Points and their measurements.
 struct Document<'a> {
@@ -111,6 +102,8 @@ struct Document<'a> {
     points: Vec<(&'a str, [f64; 3])>,
     /// The measurements of each run: its points and where they were found.
     runs: Vec<Vec<(usize, &'a Measured)>>,
+    /// The label of each run, and its first row.
+    labels: Vec<(&'a str, DataRow)>,
 }
 
 impl<'a> Document<'a> {
@@ -121,7 +114,7 @@ impl<'a> Document<'a> {
             .iter()
             .all(|name| table.column(name).is_some_and(|column| column.header.quantity == Quantity::Length));
         let nominal = if has_nominal { Some(abbe_table::points(table, ["x", "y", "z"])?) } else { None };
-        let mut document = Self { points: Vec::new(), runs: Vec::new() };
+        let mut document = Self { points: Vec::new(), runs: Vec::new(), labels: Vec::new() };
         let mut places: BTreeMap<&str, usize> = BTreeMap::new();
         let mut run_places: BTreeMap<&str, usize> = BTreeMap::new();
         let mut rows = Vec::new();
@@ -142,6 +135,7 @@ impl<'a> Document<'a> {
             let run = *run_places.entry(run).or_insert(count);
             if run == count {
                 document.runs.push(Vec::new());
+                document.labels.push((runs.map_or("", |runs| runs[row].as_str()), row));
             }
             if document.runs[run].iter().any(|(other, _)| *other == point) && runs.is_none() {
                 let error = table.error_at(row, format!("point `{label}` is measured twice"));
@@ -150,10 +144,36 @@ impl<'a> Document<'a> {
             document.runs[run].push((point, tip));
             rows.push((row, point, tip));
         }
+        document.are_of_one_part(table, has_nominal)?;
         if has_nominal {
             document.are_where_they_are_said(table, &rows)?;
         }
         Ok(document)
+    }
+
+    /// Fails where all points of a run were found where a mistake in a column puts them: from their nominal places, or from another run
+    /// where these are not known. Tells of a run that was found beside another one as a whole.
+    fn are_of_one_part(&self, table: &Dataset, has_nominal: bool) -> Result<()> {
+        for (number, run) in self.runs.iter().enumerate() {
+            let (label, row) = self.labels[number];
+            let named = if self.runs.len() > 1 { format!(" of run `{label}`") } else { String::new() };
+            if has_nominal {
+                let pairs = run.iter().map(|(point, tip)| (self.points[*point].1, tip.corrected));
+                refuse(&named, "the nominal ones", pairs).map_err(|error| error.at(table, row))?;
+            }
+            let (Some(first), true) = (self.runs.first(), number > 0) else { continue };
+            let places: BTreeMap<usize, [f64; 3]> = first.iter().map(|(point, tip)| (*point, tip.corrected)).collect();
+            let pairs = run.iter().filter_map(|(point, tip)| Some((*places.get(point)?, tip.corrected)));
+            let other = format!("those of run `{}`", self.labels[0].0);
+            if !has_nominal {
+                refuse(&named, &other, pairs.clone()).map_err(|error| error.at(table, row))?;
+            }
+            let differences = pairs.map(|(one, two)| [0, 1, 2].map(|axis| two[axis] - one[axis]));
+            if let Some(words) = shifted(&differences.collect::<Vec<_>>()) {
+                tracing::warn!("the points{named} lie {words} beside {other}: was the part moved, or a work offset?");
+            }
+        }
+        Ok(())
     }
 
     /// Fails where a point was found at the nominal place of another one, and far from its own.
@@ -163,11 +183,9 @@ impl<'a> Document<'a> {
         let difference = |tip: &Measured, at: &[f64; 3]| [0, 1, 2].map(|axis| tip.corrected[axis] - at[axis]);
         let differences: Vec<[f64; 3]> =
             rows.iter().map(|(_, point, tip)| difference(tip, &self.points[*point].1)).collect();
-        let of_part = [0, 1, 2].map(|axis| median(differences.iter().map(|by| by[axis]).collect()));
-        let size = |by: [f64; 3]| {
-            [0, 1, 2].map(|axis| by[axis] - of_part[axis]).iter().fold(0.0, |all: f64, part| all.hypot(*part))
-        };
-        let spread = median(differences.iter().map(|by| size(*by)).collect()).max(LEAST_SPREAD);
+        let (of_part, spread) = shift_and_spread(&differences);
+        let (size, spread) =
+            (|by: [f64; 3]| length([0, 1, 2].map(|axis| by[axis] - of_part[axis])), spread.max(LEAST_SPREAD));
         let far = rows.iter().zip(&differences).filter(|(_, by)| size(**by) > FAR * spread).take(TRIED);
         for ((row, point, tip), by) in far {
             let found = self.points.iter().find(|(_, at)| size(difference(tip, at)) < NEAR * spread);
@@ -267,6 +285,39 @@ impl<'a> Document<'a> {
         let digits: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
         [&digits[..8], &digits[8..12], &digits[12..16], &digits[16..20], &digits[20..]].join("-")
     }
+}
+
+/// A mistake in a column, without its place.
+struct Refused(String);
+
+impl Refused {
+    fn at(self, table: &Dataset, row: DataRow) -> Error {
+        table.error_at(row, self.0).help("is the sign, the unit or the name of a column of this file wrong?")
+    }
+}
+
+/// Fails where points, after where they are expected, were found where a mistake puts them.
+fn refuse(named: &str, others: &str, pairs: impl Iterator<Item = ([f64; 3], [f64; 3])>) -> Result<(), Refused> {
+    let (expected, found): (Vec<[f64; 3]>, Vec<[f64; 3]>) = pairs.unzip();
+    mistaken(&expected, &found).map_or(Ok(()), |found| {
+        let Mistaken { what, with, without } = found;
+        Err(Refused(format!(
+            "against {others} the points{named} are {what}: so they are within {with:.3} mm, and {without:.3} mm off as they are"
+        )))
+    })
+}
+
+/// Fewest points that two runs have in common for a word on where they lie.
+const IN_COMMON: usize = 4;
+
+/// How far points lie beside others as a whole, in words, if that is far more than they scatter.
+fn shifted(differences: &[[f64; 3]]) -> Option<String> {
+    let (shift, spread) = shift_and_spread(differences);
+    let is_far = differences.len() >= IN_COMMON && length(shift) > FAR * spread.max(LEAST_SPREAD);
+    is_far.then(|| {
+        let [x, y, z] = shift.map(|part| format!("{:.3}", part + 0.0));
+        format!("({x}, {y}, {z}) mm (they scatter by {spread:.3} mm)")
+    })
 }
 
 /// A list with the number of its entries.

@@ -5,6 +5,7 @@ mod checked;
 mod judged;
 mod tables;
 mod total;
+mod units;
 
 use std::collections::BTreeMap;
 

@@ -35,14 +35,67 @@ impl Keeper {
         Ok(matches!(self.history.add(entry)?, Added::New(_)))
     }
 
-    /// Puts a new history at its place.
-    pub fn finish(self) -> Result<()> {
-        let Some(path) = self.new else { return Ok(()) };
+    /// Puts a new history at its place; how many entries were not new after all. Where another command has made one in the meantime
+    /// entries are added to that.
+    pub fn finish(self) -> Result<usize> {
+        let Some(path) = self.new else { return Ok(0) };
         let cannot = |error: &io::Error| unwritable(&path, error);
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let file = temporary_file(folder).map_err(|error| cannot(&error))?;
         self.history.save(file.path())?;
         file.as_file().sync_all().map_err(|error| cannot(&error))?;
-        file.persist_noclobber(&path).map(drop).map_err(|error| cannot(&error.error))
+        match file.persist_noclobber(&path) {
+            Ok(_) => Ok(0),
+            Err(error) if error.error.kind() == io::ErrorKind::AlreadyExists => add_all(&self.history, &path),
+            Err(error) => Err(cannot(&error.error)),
+        }
+    }
+}
+
+/// Adds all entries of a history to that in a file; how many of them it had already.
+fn add_all(from: &History, path: &Path) -> Result<usize> {
+    let mut to = History::open(path)?;
+    let mut known = 0;
+    for (number, ..) in from.entries()? {
+        let Some(entry) = from.entry(number)? else { continue };
+        known += usize::from(matches!(to.add(&entry)?, Added::Known(_)));
+    }
+    Ok(known)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn entry(recipe: &str) -> Entry {
+        let evidence = serde_json::json!({ "inputs": [recipe] });
+        Entry { recipe: recipe.to_owned(), calibrations: Vec::new(), verdicts: Vec::new(), evidence }
+    }
+
+    /// Two of them find no history, and both make one: the later one adds to that of the other.
+    #[test]
+    fn a_history_that_came_in_the_meantime_takes_the_entries() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("plant.sqlite");
+        let place = path.to_str().unwrap();
+        let (mut one, mut other) = (Keeper::open(place).unwrap(), Keeper::open(place).unwrap());
+        for recipe in ["a", "b"] {
+            assert!(one.add(&entry(recipe)).unwrap());
+        }
+        for recipe in ["b", "c", "a"] {
+            assert!(other.add(&entry(recipe)).unwrap());
+        }
+        assert_eq!(one.finish().unwrap(), 0);
+        assert_eq!(other.finish().unwrap(), 2);
+        let kept = History::read(&path).unwrap().entries().unwrap();
+        let recipes: Vec<&str> = kept.iter().map(|(_, _, recipe)| recipe.as_str()).collect();
+        assert_eq!(recipes, ["a", "b", "c"]);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+        // What is no history stays, and is told.
+        let other = Keeper::open(folder.path().join("more.sqlite").to_str().unwrap()).unwrap();
+        std::fs::write(folder.path().join("more.sqlite"), "call the plant, it was late, and nobody was there any more")
+            .unwrap();
+        assert!(other.finish().unwrap_err().message.contains("no history"));
+        assert!(std::fs::read_to_string(folder.path().join("more.sqlite")).unwrap().starts_with("call"));
     }
 }

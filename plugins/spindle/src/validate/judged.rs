@@ -4,7 +4,7 @@ use abbe_core::{Calibration, Error, Figure, Findings, Fit, Passes, Result};
 use abbe_standards::spindle::Harmonics;
 
 use super::checked::{Checked, Form};
-use super::{AxialFundamental, CentreName, Estimates, Spindle, agreement, tables, total};
+use super::{AxialFundamental, CentreName, Estimates, Spindle, agreement, tables, total, units};
 use crate::motion::Motion;
 use crate::parameters::value;
 use crate::reversal::Reversal;
@@ -39,6 +39,7 @@ pub fn runs(
         let mut totals = total::figures(fit, motion, &judged, data, findings)?;
         for checked in judged {
             let run = checked.run.as_str();
+            findings.remarks.extend(units::other_unit(&fit.calibration, motion, &checked));
             let mut own = of_run(settings, fit, motion, &checked);
             if let Some((last, of_last)) = &estimates.last {
                 changes(settings, (last, of_last), &checked, form.as_ref(), &mut own, findings);

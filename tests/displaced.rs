@@ -1,0 +1,247 @@
+//! Readings and points that are all in another unit, mirrored, or beside their place: told where others of the same test contradict them.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+
+use crate::misread::changed;
+use crate::support::{Printed, Variant, abbe, read, recipes, temporary, write};
+
+/// What a run says: warnings, remarks, those of verdicts and failures, in one line.
+fn run(recipe: &Variant) -> (Printed, String) {
+    let folder = temporary();
+    let file = recipe.write(folder.path());
+    let arguments = ["run".as_ref(), file.as_os_str(), "--json".as_ref(), "--out".as_ref(), "out".as_ref()];
+    let printed = abbe(folder.path(), &arguments);
+    let found: Value = serde_json::from_str(&printed.stdout).unwrap_or_default();
+    let remarks = found["verdicts"].as_array().into_iter().flatten().map(|verdict| verdict["remarks"].to_string());
+    let all = ["remarks", "failures", "error"].map(|key| found[key].to_string());
+    let all: Vec<String> = all.into_iter().chain(remarks).chain([printed.stderr.replace('│', " ")]).collect();
+    let said = all.join(" ").split_whitespace().collect::<Vec<_>>().join(" ");
+    (printed, said)
+}
+
+fn times(factor: f64) -> impl Fn(usize, &str) -> String {
+    move |_, cell| format!("{}", factor * cell.parse::<f64>().expect("a number"))
+}
+
+/// A copy of a table with other rows.
+fn with_rows(file: &Path, folder: &Path, change: &dyn Fn(&[String], &mut Vec<Vec<String>>)) -> PathBuf {
+    let text = read(file);
+    let is_head = |line: &&str| line.starts_with('#');
+    let mut lines = text.lines().skip_while(is_head);
+    let cells = |line: &str| line.split(',').map(str::to_owned).collect::<Vec<String>>();
+    let header = cells(lines.next().expect("a header"));
+    let mut rows: Vec<Vec<String>> = lines.map(cells).collect();
+    change(&header, &mut rows);
+    let all: Vec<String> = std::iter::once(&header).chain(&rows).map(|row| row.join(",")).collect();
+    let path = folder.join(file.file_name().expect("a name"));
+    write(&path, &(all.join("\n") + "\n"));
+    path
+}
+
+fn place(header: &[String], name: &str) -> usize {
+    header.iter().position(|own| own == name).unwrap_or_else(|| panic!("no column {name}"))
+}
+
+fn add(cell: &mut String, by: f64) {
+    *cell = format!("{:.6}", cell.parse::<f64>().expect("a number") + by);
+}
+
+#[test]
+fn a_channel_of_an_acceptance_test_in_another_unit_is_named() {
+    let words = "is the unit of this channel right?";
+    for (name, stages) in [
+        ("standards-rotary-interpolation", &["read-c", "read-a"][..]),
+        ("standards-interpolation", &["bk1", "bk2", "bk4"]),
+    ] {
+        let recipe = Variant::of(&recipes()[name]);
+        assert!(!run(&recipe).1.contains(words), "{name}");
+        for stage in stages {
+            let mut told = 0;
+            for column in ["meas_x_um", "meas_y_um", "meas_z_um"] {
+                for factor in [1.0 / 25.4, 1e-3, 1e3] {
+                    let (folder, mut recipe) = (temporary(), recipe.clone());
+                    let file = recipe.path(stage, "path");
+                    recipe.stage(stage)["path"] = json!(changed(&file, folder.path(), column, times(factor)));
+                    let said = run(&recipe).1;
+                    let found = said.contains(words);
+                    assert!(
+                        !found || said.contains(&format!("`{}` scatters", column.trim_end_matches("_um"))),
+                        "{said}"
+                    );
+                    told += usize::from(found);
+                }
+            }
+            assert!(told >= 6, "{name} {stage}: {told} of 9");
+        }
+    }
+}
+
+#[test]
+fn a_spindle_with_one_sensor_in_inches_gets_a_hint() {
+    let words = "is the unit or the sensitivity of one of them right?";
+    let recipe = Variant::of(&recipes()["spindle-motion"]);
+    assert!(!run(&recipe).1.contains(words));
+    for column in ["r1_um", "r2_um"] {
+        for factor in [1.0 / 25.4, 25.4] {
+            let (folder, mut recipe) = (temporary(), recipe.clone());
+            let file = recipe.path("run-600", "path");
+            recipe.stage("run-600")["path"] = json!(changed(&file, folder.path(), column, times(factor)));
+            let said = run(&recipe).1;
+            assert!(said.contains(words) && said.contains("a factor near 25.4"), "{column} {factor}: {said}");
+        }
+    }
+}
+
+#[test]
+fn a_run_of_a_diagonal_or_an_axis_that_is_off_is_named() {
+    let words = "was the zero of the instrument lost";
+    for (name, stage, reading) in
+        [("standards-diagonals", "ppp", "reading_um"), ("standards-positioning", "linear", "reading_um")]
+    {
+        let recipe = Variant::of(&recipes()[name]);
+        assert!(!run(&recipe).1.contains(words), "{name}");
+        for number in ["1", "3", "5"] {
+            let (folder, mut recipe) = (temporary(), recipe.clone());
+            let off = |header: &[String], rows: &mut Vec<Vec<String>>| {
+                let (of_run, reading) = (place(header, "run"), place(header, reading));
+                rows.iter_mut().filter(|row| row[of_run] == number).for_each(|row| add(&mut row[reading], 40.0));
+            };
+            let file = with_rows(&recipe.path(stage, "path"), folder.path(), &off);
+            recipe.stage(stage)["path"] = json!(file);
+            let said = run(&recipe).1;
+            assert!(said.contains(words) && said.contains(&format!("run {number} is ")), "{name} {number}: {said}");
+        }
+    }
+}
+
+#[test]
+fn readings_a_row_beside_their_positions_are_told() {
+    let words = "do readings stand a row beside their positions?";
+    for (name, stage, reading) in
+        [("standards-diagonals", "ppp", "reading_um"), ("standards-positioning", "linear", "reading_um")]
+    {
+        let recipe = Variant::of(&recipes()[name]);
+        assert!(!run(&recipe).1.contains(words), "{name}");
+        let mut told = 0;
+        for late in [true, false] {
+            let (folder, mut recipe) = (temporary(), recipe.clone());
+            let moved = |header: &[String], rows: &mut Vec<Vec<String>>| {
+                let reading = place(header, reading);
+                let mut all: Vec<String> = rows.iter().map(|row| row[reading].clone()).collect();
+                if late {
+                    all.rotate_right(1)
+                } else {
+                    all.rotate_left(1)
+                }
+                rows.iter_mut().zip(all).for_each(|(row, cell)| row[reading] = cell);
+            };
+            let file = with_rows(&recipe.path(stage, "path"), folder.path(), &moved);
+            recipe.stage(stage)["path"] = json!(file);
+            told += usize::from(run(&recipe).1.contains(words));
+        }
+        // What rows make of this axis is less than five times as large as its lost motion varies: it gets no word.
+        let least = usize::from(name == "standards-diagonals");
+        assert!(told >= least, "{name}: {told} of 2");
+    }
+}
+
+#[test]
+fn diagonals_of_other_boxes_are_told() {
+    let words = "ISO 230-6 compares diagonals of one box";
+    let recipe = Variant::of(&recipes()["standards-diagonals"]);
+    assert!(!run(&recipe).1.contains(words));
+    for stage in ["npp", "xy-pp"] {
+        let (folder, mut recipe) = (temporary(), recipe.clone());
+        let longer = |header: &[String], rows: &mut Vec<Vec<String>>| {
+            for name in ["position_mm", "X_mm", "Y_mm", "Z_mm"] {
+                let place = place(header, name);
+                for row in rows.iter_mut() {
+                    row[place] = format!("{}", 0.8 * row[place].parse::<f64>().expect("a number"));
+                }
+            }
+        };
+        let file = with_rows(&recipe.path(stage, "path"), folder.path(), &longer);
+        recipe.stage(stage)["path"] = json!(file);
+        let said = run(&recipe).1;
+        assert!(said.contains(words) && said.contains(&format!("direct-diagonal-{stage}: it goes over")), "{said}");
+    }
+}
+
+/// Points of a part, in QIF: what no part is, is refused; a run beside the other is told.
+#[test]
+fn points_of_qif_results_that_are_scaled_or_mirrored_are_refused() {
+    let recipe = Variant::of(&recipes()["qif-results"]).only(&["fit", "holes"]);
+    let exported = |runs: &[&str], columns: &[&str], change: &dyn Fn(f64) -> f64| {
+        let (folder, mut recipe) = (temporary(), recipe.clone());
+        let edit = |header: &[String], rows: &mut Vec<Vec<String>>| {
+            let of_run = place(header, "run");
+            for row in rows.iter_mut().filter(|row| runs.contains(&row[of_run].as_str())) {
+                for column in columns {
+                    let cell = &mut row[place(header, column)];
+                    *cell = format!("{:.7}", change(cell.parse().expect("a number")));
+                }
+            }
+        };
+        let file = with_rows(&recipe.path("holes", "path"), folder.path(), &edit);
+        recipe.stage("holes")["path"] = json!(file);
+        run(&recipe)
+    };
+    let nominal = ["x_mm", "y_mm", "z_mm"];
+    let both = &["1", "2"][..];
+    for (columns, factor, what) in [
+        (&nominal[..], 25.4, "1/25.4 as far from each other, as in another unit"),
+        (&nominal, 1e-3, "1000 times as far from each other, as in another unit"),
+        (&nominal[1..2], 1.0 / 25.4, "25.4 times as far from each other along y"),
+        (&nominal[..1], -1.0, "mirrored along x"),
+        (&nominal[1..2], -1.0, "mirrored along y"),
+    ] {
+        let (printed, said) = exported(both, columns, &|value| factor * value);
+        assert!(printed.status != 0 && said.contains(what) && said.contains("workpiece.csv"), "{what}: {said}");
+    }
+    // One of two runs alone.
+    let (printed, said) = exported(&["2"], &["X_mm"], &|value| 340.0 - value);
+    assert!(printed.status != 0 && said.contains("of run `2` are mirrored along x"), "{said}");
+    let words = "was the part moved, or a work offset?";
+    let (printed, said) = exported(&["2"], &["X_mm"], &|value| value + 1.5);
+    assert!(printed.status == 0 && said.contains(words) && said.contains("(1.5"), "{said}");
+    // The whole part elsewhere, both runs alike, and a warm part are results.
+    for (columns, change) in [
+        (&["X_mm"][..], &(|value: f64| value + 1.5) as &dyn Fn(f64) -> f64),
+        (&["x_mm"], &|value| value - 200.0),
+        (&["X_mm", "Y_mm"], &|value| 1.0002 * value),
+        (&[], &|value| value),
+    ] {
+        let (printed, said) = exported(both, columns, change);
+        assert!(printed.status == 0 && !said.contains(words), "{columns:?}: {said}");
+    }
+}
+
+/// Readings in another unit: with one trial residuals scatter as stated, or errors that no machine has are explained, and the hint says
+/// which readings.
+#[test]
+fn readings_in_another_unit_are_named_where_errors_are_implausible() {
+    for (factor, words) in [(1e3, "divided by 1000"), (25.4, "divided by 25.4")] {
+        let (folder, mut recipe) = (temporary(), Variant::of(&recipes()["standards-rtest"]).only(&["c-axis"]));
+        let columns = |header: &[String], rows: &mut Vec<Vec<String>>| {
+            for column in ["meas_x_um", "meas_y_um", "meas_z_um"] {
+                let place = place(header, column);
+                rows.iter_mut().for_each(|row| row[place] = times(factor)(0, &row[place]));
+            }
+        };
+        let file = with_rows(&recipe.path("c-turns", "path"), folder.path(), &columns);
+        recipe.stage("c-turns")["path"] = json!(file);
+        let said = run(&recipe).1;
+        assert!(said.contains(&format!("with the readings of at-c {words}")), "{factor}: {said}");
+    }
+    // One of many files.
+    let (folder, mut recipe) = (temporary(), Variant::of(&recipes()["mill-direct"]).only(&["fit-angles"]));
+    let list = recipe.stage("angle-files")["path"].as_array().expect("a list").clone();
+    let place = list.iter().position(|file| file.as_str().is_some_and(|file| file.ends_with("EBX.csv"))).expect("it");
+    let file = list[place].as_str().expect("a path");
+    recipe.stage("angle-files")["path"][place] =
+        json!(changed(Path::new(file), folder.path(), "reading_urad", times(1e3)));
+    let said = run(&recipe).1;
+    assert!(said.contains("no machine has such errors") && said.contains("EBX.csv` divided by 1000"), "{said}");
+}
