@@ -9,6 +9,9 @@ use crate::misread::changed;
 use crate::support::{Variant, abbe, read, recipes, temporary};
 use crate::told::said;
 
+/// The time of a row from its number and what stands there.
+type TimeOfRow<'a> = &'a dyn Fn(usize, &str) -> f64;
+
 /// The cells of a column of a file.
 fn cells(file: &Path, column: &str) -> Vec<String> {
     let found = RefCell::new(Vec::new());
@@ -47,7 +50,7 @@ fn rows_of_the_baseline_in_a_verify_run_are_told() {
             for column in ["X_mm", "Y_mm", "Z_mm", "measured_mm"] {
                 let copied = cells(&baseline, column);
                 let change = |row: usize, cell: &str| {
-                    let is_copied = kept.map_or(row % 8 == 0, |kept| row >= kept);
+                    let is_copied = kept.map_or(row.is_multiple_of(8), |kept| row >= kept);
                     if is_copied { copied[row].clone() } else { cell.to_owned() }
                 };
                 let own = folder.path().join(column);
@@ -149,7 +152,7 @@ fn times_that_fall_amid_others_are_told() {
         let time = |cell: &str| cell.parse::<f64>().expect("a time");
         let of_row = |row: usize, cell: &str| if row == rows / 2 + 3 { 0.5 * time(cell) } else { time(cell) };
         let set_back = |row: usize, cell: &str| time(cell) - if row > rows / 2 + 3 { 3600.0 } else { 0.0 };
-        let changes: [&dyn Fn(usize, &str) -> f64; 2] = [&of_row, &set_back];
+        let changes: [TimeOfRow<'_>; 2] = [&of_row, &set_back];
         for (case, change) in changes.into_iter().enumerate() {
             let folder = temporary();
             let other = changed(&file, folder.path(), "time_s", |row, cell| change(row, cell).to_string());

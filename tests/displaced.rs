@@ -7,6 +7,9 @@ use serde_json::{Value, json};
 use crate::misread::changed;
 use crate::support::{Printed, Variant, abbe, read, recipes, temporary, write};
 
+/// What is done to the rows of a file, given its header.
+type Change<'a> = &'a dyn Fn(&[String], &mut Vec<Vec<String>>);
+
 /// What a run says: warnings, remarks, those of verdicts and failures, in one line.
 fn run(recipe: &Variant) -> (Printed, String) {
     let folder = temporary();
@@ -26,7 +29,7 @@ fn times(factor: f64) -> impl Fn(usize, &str) -> String {
 }
 
 /// A copy of a table with other rows.
-fn with_rows(file: &Path, folder: &Path, change: &dyn Fn(&[String], &mut Vec<Vec<String>>)) -> PathBuf {
+fn with_rows(file: &Path, folder: &Path, change: Change<'_>) -> PathBuf {
     let text = read(file);
     let is_head = |line: &&str| line.starts_with('#');
     let mut lines = text.lines().skip_while(is_head);

@@ -69,7 +69,7 @@ mod tests {
         let channel = |next: &mut dyn FnMut() -> f64| {
             let own = noise * 2_f64.powf(0.4 * next());
             let size = 10_f64.powf(0.7 * next());
-            let shakes = if seed % 3 == 0 { 10_f64.powf(0.5 * next()) } else { 0.0 };
+            let shakes = if seed.is_multiple_of(3) { 10_f64.powf(0.5 * next()) } else { 0.0 };
             let (wave, second, lost, phase) = (size * next(), 0.4 * size * next(), size * next(), next());
             let mut readings = Vec::new();
             for way in 0..2 * runs {

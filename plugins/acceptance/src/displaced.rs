@@ -122,8 +122,8 @@ mod tests {
         let size = 10_f64.powf(random.normal().clamp(-1.0, 1.0));
         let scatter = 0.1 * size * 10_f64.powf(random.normal().clamp(-1.0, 1.0));
         let [slope, bow, wave, lost, growing] = std::array::from_fn(|_| size * random.normal());
-        let short = if seed % 3 == 0 { size * random.normal() } else { 0.0 };
-        let warm = if seed % 2 == 0 { 10.0 * size * random.normal() } else { 0.0 };
+        let short = if seed.is_multiple_of(3) { size * random.normal() } else { 0.0 };
+        let warm = if seed.is_multiple_of(2) { 10.0 * size * random.normal() } else { 0.0 };
         // Within a part of a run up to many of them.
         let constant = 3_f64.powf(random.normal().clamp(-2.0, 3.0));
         let walk = if seed % 4 == 1 { 5.0 * scatter * random.normal() } else { 0.0 };
@@ -203,7 +203,7 @@ mod tests {
         let (mut found, mut all) = (0, 0);
         for seed in 0..4_000 {
             let (runs, targets, _) = axis(seed);
-            let late = if seed % 2 == 0 { 1 } else { -1 };
+            let late = if seed.is_multiple_of(2) { 1 } else { -1 };
             let told = rows_off(&runs, targets, late, digits(seed));
             assert!(told.is_none_or(|told| told.0 == late), "{seed}: {told:?}");
             all += 1;
