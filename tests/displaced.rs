@@ -221,24 +221,9 @@ fn points_of_qif_results_that_are_scaled_or_mirrored_are_refused() {
     }
 }
 
-/// Readings in another unit: with one trial residuals scatter as stated, or errors that no machine has are explained, and the hint says
-/// which readings.
+/// Readings in another unit explain errors that no machine has: the hint says which readings.
 #[test]
 fn readings_in_another_unit_are_named_where_errors_are_implausible() {
-    for (factor, words) in [(1e3, "divided by 1000"), (25.4, "divided by 25.4")] {
-        let (folder, mut recipe) = (temporary(), Variant::of(&recipes()["standards-rtest"]).only(&["c-axis"]));
-        let columns = |header: &[String], rows: &mut Vec<Vec<String>>| {
-            for column in ["meas_x_um", "meas_y_um", "meas_z_um"] {
-                let place = place(header, column);
-                rows.iter_mut().for_each(|row| row[place] = times(factor)(0, &row[place]));
-            }
-        };
-        let file = with_rows(&recipe.path("c-turns", "path"), folder.path(), &columns);
-        recipe.stage("c-turns")["path"] = json!(file);
-        let said = run(&recipe).1;
-        assert!(said.contains(&format!("with the readings of at-c {words}")), "{factor}: {said}");
-    }
-    // One of many files.
     let (folder, mut recipe) = (temporary(), Variant::of(&recipes()["mill-direct"]).only(&["fit-angles"]));
     let list = recipe.stage("angle-files")["path"].as_array().expect("a list").clone();
     let place = list.iter().position(|file| file.as_str().is_some_and(|file| file.ends_with("EBX.csv"))).expect("it");

@@ -1,12 +1,12 @@
-//! Readings in another unit, by their noise from row to row: what is stated of a reading tells how large that is.
+//! Readings in another unit, by their noise from row to row: what is stated of a reading tells how large that is. It takes part in the
+//! search for a mistake once errors are implausible, and says nothing otherwise: errors that a model lacks scatter from row to row, too,
+//! and smaller readings leave smaller residuals of any fit.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::{Problem, SetIndex};
 use abbe_numerics::row_noise;
 
-use crate::compared::Fitted;
-use crate::mistakes::spread;
 use crate::turned_readings::{Reading, readings};
 
 /// Noise over what is stated of a reading that is about as stated, and that is far from it.
@@ -19,30 +19,6 @@ const UNITS: [(f64, &str); 4] =
 
 /// Most files of a set that are tried one by one.
 const FILES: usize = 40;
-
-/// Most rows of a set that are tried.
-const ROWS: usize = 500;
-
-/// The sentence on readings with which in another unit all residuals scatter as stated; none where they do so as they are.
-pub(crate) fn reading_units(problem: &Problem) -> Option<String> {
-    let few = spread(problem, ROWS);
-    let units = other_units(problem, &few);
-    if units.is_empty() {
-        return None;
-    }
-    let now = Fitted::of(&few).filter(Fitted::is_beyond_chance)?;
-    let tried = units.into_iter().filter_map(|(without, added)| {
-        let after = Fitted::of(&few.disturbed(&added)).filter(|after| now.is_explained_by(after))?;
-        Some((without, after))
-    });
-    let (without, after) = tried.min_by(|(_, one), (_, other)| one.squares.total_cmp(&other.squares))?;
-    Some(format!(
-        "{without} the residuals scatter as stated ({:.2} times as much), and as they are {:.1} times as much: is the unit of these \
-         readings right?",
-        after.scatter(),
-        now.scatter()
-    ))
-}
 
 /// Some readings of a set: of a channel, of a file, or all.
 #[derive(Debug, Clone, Copy)]

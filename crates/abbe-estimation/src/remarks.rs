@@ -15,7 +15,6 @@ use crate::exchanged::exchanged;
 use crate::instruments::instruments;
 use crate::places::exchanged_places;
 use crate::planned::planned;
-use crate::reading_units::reading_units;
 use crate::row_order::contradicted_by_order;
 use crate::times::falling;
 use crate::turned_readings::turned_readings;
@@ -43,10 +42,10 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks
 }
 
-/// Sentences on readings whose signs or units, and on columns whose places, the rest of the rows contradicts: other fits of the same rows tell.
+/// Sentences on readings whose signs, and on columns whose places, the rest of the rows contradicts: other fits of the same rows tell.
 /// They come after the fit itself, so that a machine that fails at other values fails there.
 pub fn comparisons(problem: &Problem) -> Vec<String> {
-    turned_readings(problem).into_iter().chain(exchanged(problem)).chain(reading_units(problem)).collect()
+    turned_readings(problem).into_iter().chain(exchanged(problem)).collect()
 }
 
 /// Styli in the data that the model does not tell apart.
