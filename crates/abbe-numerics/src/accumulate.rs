@@ -18,6 +18,9 @@ const BLOCK: usize = 1024;
 /// Problems with no more unknowns than this are factorised as if none were zero.
 const FEW: usize = 64;
 
+/// Fewest rows that groups with the same rare columns have on average, to be factorised by themselves.
+const ROWS_OF_GROUP: usize = 8;
+
 /// Reduces rows `[J | r]` of a least squares problem to their triangular factor.
 ///
 /// Rows are collected in a buffer. A full buffer is factorised over the columns that are not zero in it: if measurements come
@@ -189,15 +192,17 @@ impl Accumulator {
     /// Where most rows have few of the rare columns, as touches that each know one of many features, rows with the same ones are
     /// factorised by themselves, over the columns that they have, and then their triangles.
     fn reduced(&self, columns: Vec<usize>) -> Triangle {
-        let groups = self.groups();
-        let work = |rows: usize, width: usize| rows * width * width;
         let width = columns.len() + 1;
-        let heights = groups.iter().map(|group| group.rows.len().min(group.columns.len() + 1)).sum();
-        let apart = groups.iter().map(|group| work(group.rows.len(), group.columns.len() + 1)).sum::<usize>();
-        if 2 * (apart + work(heights, width)) > work(self.filled, width) {
+        let work = |rows: usize, width: usize| rows * width * width;
+        let is_less = |groups: &Vec<Group>| {
+            let heights = groups.iter().map(|group| group.rows.len().min(group.columns.len() + 1)).sum();
+            let apart = groups.iter().map(|group| work(group.rows.len(), group.columns.len() + 1)).sum::<usize>();
+            2 * (apart + work(heights, width)) <= work(self.filled, width)
+        };
+        let Some(groups) = self.groups().filter(is_less) else {
             let rows = self.matrix(&columns);
             return Triangle::of(columns, rows);
-        }
+        };
         let triangles = groups.into_iter().map(|Group { columns, rows }| {
             let width = columns.len() + 1;
             // Column by column, the residuals last.
@@ -220,9 +225,9 @@ impl Accumulator {
         stacked(&triangles.collect::<Vec<_>>(), columns)
     }
 
-    /// The rows of the buffer in groups with the same rare columns: those that are not zero in a quarter of the rows at most. No groups
-    /// where there are too many of them.
-    fn groups(&self) -> Vec<Group> {
+    /// The rows of the buffer in groups with the same rare columns: those that are not zero in a quarter of the rows at most. None
+    /// where there are too many groups: to look for them, and to put their triangles together, then takes longer than it saves.
+    fn groups(&self) -> Option<Vec<Group>> {
         let mut users = vec![0; self.unknowns];
         for (part, lines) in self.lines() {
             for line in lines.chunks_exact(part.unknowns.len() + 1) {
@@ -244,6 +249,7 @@ impl Accumulator {
                 rare.extend(own.map(|(unknown, _)| *unknown));
                 let group = match known.get(&rare) {
                     Some(group) => *group,
+                    None if ROWS_OF_GROUP * groups.len() >= self.filled => return None,
                     None => {
                         known.insert(rare.clone(), groups.len());
                         let columns = (0..self.unknowns).filter(|column| match is_rare[*column] {
@@ -258,7 +264,7 @@ impl Accumulator {
                 start += width;
             }
         }
-        groups
+        Some(groups)
     }
 
     /// The rows of the buffer over these columns, the residuals last.

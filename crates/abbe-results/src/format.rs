@@ -17,7 +17,8 @@ pub struct FileFormat {
 }
 
 impl FileFormat {
-    /// Reads the text of a file, with a byte order mark or without. Keys that are not known are left alone: a later program may add some (`docs/formats.md`).
+    /// Reads the text of a file, with a byte order mark or without. Keys that are not known are left alone: a later program may add
+    /// some (`docs/formats.md`).
     ///
     /// Fails on text that is no JSON, without a number or with another one, and on missing or wrong parts, with line and column.
     pub fn read<T: DeserializeOwned>(self, text: &str) -> Result<T> {
