@@ -46,23 +46,6 @@ pub fn part_evidence(problem: &Problem, asked: AskedOfPart, at: &[f64]) -> Resul
     }
 }
 
-/// What a part tells of its rows, and at the solution, at once.
-fn rows_and_solution(problem: &Problem, at: &[f64]) -> Result<PartEvidence> {
-    if problem.equations() == 0 {
-        let PartEvidence { recorded, .. } = part_evidence(problem, AskedOfPart::Rows, at)?;
-        return Ok(PartEvidence { recorded, ..part_evidence(problem, AskedOfPart::Solution, at)? });
-    }
-    check(problem)?;
-    let own: Vec<String> = problem.unknowns.iter().map(|known| known.name.clone()).collect();
-    let (factor, residuals) = Weighted::new(problem)?.factor_and_residuals(at)?;
-    Ok(PartEvidence {
-        recorded: Some(triangle(&own, &factor)),
-        in_contact: in_contact(problem, at, None)?,
-        residuals: Some(residual_sums(problem, residuals)?),
-        ..PartEvidence::default()
-    })
-}
-
 /// The rows of each artefact in nominal contact, with columns for what is considered; those that are kept, with 0 or 1.
 pub(crate) fn in_contact(problem: &Problem, at: &[f64], kept: Option<&[f64]>) -> Result<Vec<(String, Triangle)>> {
     let mut extended = rank_point(problem, at)?.with_values(at);
@@ -291,6 +274,54 @@ pub struct SolutionOfParts {
     pub(crate) kept: Option<KeptRows>,
 }
 
+/// What rows tell near the solution.
+struct NearRows {
+    /// Their gradient to the unknowns of all parts.
+    gradient: Vec<f64>,
+    /// The sum of their weighted squares.
+    squares: f64,
+    /// What they tell at the solution, if that was asked.
+    told: Result<Option<PartEvidence>>,
+}
+
+impl NearRows {
+    /// Adds rows that follow.
+    fn join(&mut self, other: Self) {
+        self.gradient.iter_mut().zip(other.gradient).for_each(|(sum, own)| *sum += own);
+        self.squares += other.squares;
+        if let (Ok(Some(one)), Ok(Some(other))) = (&self.told, &other.told) {
+            self.told = joined_evidence(one, other).map(Some);
+        }
+    }
+}
+
+/// What a part tells at values of the unknowns of all parts, which stand at these columns.
+fn told_near(problem: &Problem, (columns, x): (&BTreeMap<&str, usize>, &[f64]), is_solution: bool) -> Result<NearRows> {
+    check(problem)?;
+    let column = |unknown: &Unknown| columns.get(unknown.name.as_str()).copied().filter(|own| *own < x.len());
+    let columns: Option<Vec<usize>> = problem.unknowns.iter().map(column).collect();
+    let columns = columns.ok_or_else(nothing)?;
+    let at: Vec<f64> = columns.iter().map(|column| x[*column]).collect();
+    let weighted = Weighted::new(problem)?;
+    let (of_part, residuals) = weighted.gradient_and_residuals(&at)?;
+    let mut gradient = vec![0.0; x.len()];
+    columns.iter().zip(of_part).for_each(|(column, own)| gradient[*column] += own);
+    let told = || -> Result<PartEvidence> {
+        let sums = Some(residual_sums(problem, residuals.clone())?);
+        match problem.equations() {
+            0 => Ok(PartEvidence { residuals: sums, ..PartEvidence::default() }),
+            _ => Ok(PartEvidence {
+                in_contact: in_contact(problem, &at, None)?,
+                residuals: sums,
+                ..PartEvidence::default()
+            }),
+        }
+    };
+    let told = is_solution.then(told).transpose()?;
+    let squares = weighted.in_uncertainties(residuals).iter().map(|residual| residual * residual).sum();
+    Ok(NearRows { gradient, squares, told: Ok(told) })
+}
+
 /// What robust weights have kept of all rows.
 pub(crate) struct KeptRows {
     /// The rows that are kept where rank is judged.
@@ -335,18 +366,22 @@ impl<'a> RowsInParts<'a> {
         self.solution_of(all, weighing.is_some())
     }
 
-    /// The factor of all rows, and what they tell at the solution, in one pass: for an x that is as good as the solution. None where
-    /// other processes read the rows.
-    pub fn rows_and_solution(&self, x: &[f64]) -> Result<Option<(Factor, SolutionOfParts)>> {
+    /// The factor of all rows at x, near the place of a factor that is known: its triangle, with the gradient and the cost at x. With
+    /// `is_solution` also what all rows tell at the solution, for an x that is as good as it, in the same pass. None where the triangle
+    /// is singular. Fails where other processes read the rows.
+    pub fn near(
+        &self,
+        factor: &Factor,
+        x: &[f64],
+        is_solution: bool,
+    ) -> Result<Option<(Factor, Option<SolutionOfParts>)>> {
         let columns = &self.columns;
-        let at = |unknown: &Unknown| columns.get(unknown.name.as_str()).map_or(0.0, |column| x[*column]);
-        let question = |_: usize, problem: &Problem| {
-            let values: Vec<f64> = problem.unknowns.iter().map(at).collect();
-            rows_and_solution(problem, &values)
-        };
-        let Some(all) = self.parts.ask(&question)? else { return Ok(None) };
-        let factor = self.joined(x.len(), std::iter::once(all.recorded.as_ref()))?;
-        Ok(Some((factor, self.solution_of(vec![Arc::new(all)], false)?)))
+        let look = |problem: &Problem| told_near(problem, (columns, x), is_solution);
+        let join = |all: &mut NearRows, own: NearRows| all.join(own);
+        let Some(NearRows { gradient, squares, told }) = looked_at(self.parts, &look, &join)? else { return Ok(None) };
+        let Some(there) = factor.with_gradient(&gradient, squares) else { return Ok(None) };
+        let told = told?.map(|told| self.solution_of(vec![Arc::new(told)], false)).transpose()?;
+        Ok(Some((there, told)))
     }
 
     fn solution_of(&self, mut all: Vec<Arc<PartEvidence>>, is_weighed: bool) -> Result<SolutionOfParts> {

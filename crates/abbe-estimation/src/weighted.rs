@@ -80,21 +80,30 @@ impl<'a> Weighted<'a> {
         factors.pop().ok_or_else(|| Error::data("there are no rows"))
     }
 
-    /// The factor at x, and the residuals there, mm or rad.
-    pub(crate) fn factor_and_residuals(&self, x: &[f64]) -> Result<(Factor, Vec<f64>)> {
-        if self.is_correlated() {
-            return Ok((self.factor(x, None)?, self.problem.residuals(x)?));
+    /// The gradient `J^T r` of the weighted rows at x, and the residuals there, mm or rad.
+    pub(crate) fn gradient_and_residuals(&self, x: &[f64]) -> Result<(Vec<f64>, Vec<f64>)> {
+        if !self.is_correlated() {
+            let counts = |row: EquationIndex, residual: f64| residual / self.uncertainties[row].powi(2);
+            let (mut gradient, residuals) = self.problem.gradient(x, &counts)?;
+            let all = EquationIndex::first(self.rows());
+            gradient.extend(self.columns.iter().map(|column| {
+                let products =
+                    residuals.iter().zip(all.clone()).map(|(residual, row)| counts(row, *residual) * column[row]);
+                products.sum::<f64>()
+            }));
+            if gradient.iter().chain(&residuals).all(|number| number.is_finite()) {
+                return Ok((gradient, residuals));
+            }
         }
-        self.check_unknowns()?;
-        let mut accumulator = Accumulator::new(self.unknowns(), self.rows());
-        let mut residuals = Vec::with_capacity(self.rows());
+        // What is not finite is looked for row by row.
+        let mut gradient = vec![0.0; self.unknowns()];
         self.linearise_compact(x, |block| {
-            for (equation, residual, line) in block.lines() {
-                accumulator.push_some(block.unknowns, line, residual, 1.0);
-                residuals.push(residual * self.uncertainties[equation]);
+            for (_, residual, line) in block.lines() {
+                let own = block.unknowns.iter().zip(line);
+                own.for_each(|(&unknown, derivative)| gradient[unknown] += derivative * residual);
             }
         })?;
-        Ok((accumulator.finish(), residuals))
+        Ok((gradient, self.problem.residuals(x)?))
     }
 
     /// Fails for more unknowns than one triangle may have: its memory and time grow with their square, and with their third power.
@@ -170,17 +179,7 @@ impl LeastSquares for Weighted<'_> {
     }
 
     fn gradient(&self, x: &[f64]) -> Result<Vec<f64>> {
-        let mut gradient = vec![0.0; self.unknowns()];
-        let mut sums = Vec::new();
-        self.linearise_compact(x, |block| {
-            sums.clear();
-            sums.resize(block.unknowns.len(), 0.0);
-            for (_, residual, line) in block.lines() {
-                sums.iter_mut().zip(line).for_each(|(sum, derivative)| *sum += derivative * residual);
-            }
-            block.unknowns.iter().zip(&sums).for_each(|(&unknown, sum)| gradient[unknown] += sum);
-        })?;
-        Ok(gradient)
+        self.gradient_and_residuals(x).map(|(gradient, _)| gradient)
     }
 
     fn factor(&self, x: &[f64], weights: Option<&[f64]>) -> Result<Factor> {

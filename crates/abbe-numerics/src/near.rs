@@ -77,15 +77,46 @@ pub fn solve_near<P: LeastSquares + ?Sized>(
 }
 
 impl Factor {
-    /// The step `-(R^T R)^-1 gradient`, and by how many standard uncertainties it moves all rows together; None if R is singular.
-    fn step_against(&self, gradient: &[f64]) -> Option<(Vec<f64>, f64)> {
+    /// The factor of rows next to those of this one, which have about its triangle, by their gradient `J^T r` and the sum of squares of
+    /// their r; None if the triangle is singular.
+    ///
+    /// What follows of r is exact but for what the triangle is off: steps, costs, the cosine of the gradient.
+    ///
+    /// ```
+    /// use abbe_numerics::Accumulator;
+    ///
+    /// let factor = |[first, second]: [f64; 2]| {
+    ///     let mut rows = Accumulator::new(1, 2);
+    ///     rows.push(&[2.0], first, 1.0);
+    ///     rows.push(&[1.0], second, 1.0);
+    ///     rows.finish()
+    /// };
+    /// let (one, other) = (factor([0.3, 0.1]), factor([0.4, -0.2]));
+    /// let near = one.with_gradient(&[2.0 * 0.4 - 0.2], 0.4 * 0.4 + 0.2 * 0.2).unwrap();
+    /// assert!((near.step().unwrap()[0] - other.step().unwrap()[0]).abs() < 1e-12);
+    /// assert!((near.remaining_cost() - other.remaining_cost()).abs() < 1e-12);
+    /// ```
+    pub fn with_gradient(&self, gradient: &[f64], squares: f64) -> Option<Self> {
+        let right = self.right_of(gradient)?;
+        let rest = (squares - right.iter().map(|value| value * value).sum::<f64>()).max(0.0);
+        Some(Self::new(self.triangle().to_owned(), right, self.norms().to_vec(), rest, self.rows()))
+    }
+
+    /// `R^-T gradient`, which is `Q^T r`; None if R is singular.
+    fn right_of(&self, gradient: &[f64]) -> Option<Vec<f64>> {
         let mut right = vec![0.0; gradient.len()];
         for (column, gradient) in gradient.iter().enumerate() {
             let entries = self.triangle().col_as_slice(column);
             let known: f64 = entries[..column].iter().zip(&right).map(|(entry, value)| entry * value).sum();
-            right[column] = (-gradient - known) / entries[column];
+            right[column] = (gradient - known) / entries[column];
         }
+        right.iter().all(|value| value.is_finite()).then_some(right)
+    }
+
+    /// The step `-(R^T R)^-1 gradient`, and by how many standard uncertainties it moves all rows together; None if R is singular.
+    fn step_against(&self, gradient: &[f64]) -> Option<(Vec<f64>, f64)> {
+        let right = self.right_of(gradient)?;
         let size = norm(&right);
-        Some((self.solved(right)?, size))
+        Some((self.solved(right.into_iter().map(|value| -value).collect())?, size))
     }
 }

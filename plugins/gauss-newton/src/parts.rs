@@ -91,7 +91,7 @@ impl GaussNewton {
         Ok((solution, told))
     }
 
-    /// The same from a start that is near the solution. The pass from which the last step is expected to go tells all that is told at the
+    /// The same from a start that is near the solution, with the triangle of the rows there. The pass from which the last step is expected to go tells all that is told at the
     /// solution, too. Where a step turns out longer than expected, the iteration goes on as from anywhere.
     fn begun_near(
         &self,
@@ -105,11 +105,7 @@ impl GaussNewton {
             let Some(step) = factor.step() else { return goes_on(&x, factor) };
             let size = factor.row_norm(&step);
             let next: Vec<f64> = x.iter().zip(&step).map(|(x, step)| x + step).collect();
-            let found = match size * shrinks <= HARDLY_OFF {
-                true => rows.rows_and_solution(&next).map(|found| found.map(|(factor, told)| (factor, Some(told)))),
-                false => rows.factor(&next, None).map(|factor| Some((factor, None))),
-            };
-            let (there, told) = match found {
+            let (there, told) = match rows.near(&factor, &next, size * shrinks <= HARDLY_OFF) {
                 Ok(Some(found)) => found,
                 Err(error) if error.fatal => return Err(error),
                 Ok(None) | Err(_) => return goes_on(&x, factor),

@@ -38,12 +38,28 @@ impl Evaluation {
         count: usize,
         jacobian: &mut [f64],
     ) {
+        self.each_effect(set, rows, |equation, factors, run, along| {
+            let line = &mut jacobian[equation * count..(equation + 1) * count];
+            for (&(column, own), factor) in places[run.clone()].iter().zip(&factors[run]) {
+                line[column] += own * factor * along;
+            }
+        });
+    }
+
+    /// Calls `take` for every effect that an equation sees at a pose, with the equation, the factors of the pose, the range of those that
+    /// share the effect, and d(residual)/d(effect).
+    #[inline]
+    pub(super) fn each_effect(
+        &self,
+        set: &ObservationSet,
+        rows: &[RowIndex],
+        mut take: impl FnMut(usize, &[f64], Range<usize>, f64),
+    ) {
         let FactoredPoses { terms, effects, factors, position_effects, rotation_effects, .. } = &self.factored;
         let runs: Vec<(usize, Range<usize>)> = self.factored.runs().collect();
-        let mut lines = jacobian.chunks_exact_mut(count.max(1));
-        let (mut pair, mut first_pose) = (0, 0);
+        let (mut equation, mut pair, mut first_pose) = (0, 0, 0);
         for row in rows.iter().map(|&row| &set.info().layout.rows[row]) {
-            for line in lines.by_ref().take(row.equations) {
+            for _ in 0..row.equations {
                 for pose in first_pose..first_pose + row.poses {
                     let by_position = &self.equations.by_position[pair];
                     let by_rotation = self.equations.by_rotation.get(pair);
@@ -53,15 +69,13 @@ impl Evaluation {
                         let turned = by_rotation.map_or(0.0, |by| along(by, &rotation_effects[effect]));
                         let along = along(by_position, &position_effects[effect]) + turned;
                         // A reading sees few of the errors.
-                        if along == 0.0 {
-                            continue;
-                        }
-                        for (&(column, own), factor) in places[run.clone()].iter().zip(&factors[run.clone()]) {
-                            line[column] += own * factor * along;
+                        if along != 0.0 {
+                            take(equation, factors, run.clone(), along);
                         }
                     }
                     pair += 1;
                 }
+                equation += 1;
             }
             first_pose += row.poses;
         }

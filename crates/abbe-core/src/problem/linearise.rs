@@ -193,9 +193,7 @@ impl Problem {
         out: &mut Linearised,
     ) -> Result<()> {
         let set = &self.sets[index];
-        self.monitor.check()?;
-        self.evaluate_factored(set, &columns.wanted, rows, work).map_err(|error| self.of_row(index, rows, error))?;
-        self.equations_of(set, rows, &work.factored.poses, &mut work.equations)?;
+        self.evaluate_rows(index, rows, columns, work)?;
         let of_rows = columns.of_rows(index, &work.equations);
         let (count, place) = (of_rows.len(), |column: usize| of_rows.partition_point(|other| *other < column));
         let equations = work.equations.residuals.len();
@@ -210,17 +208,26 @@ impl Problem {
         });
         let places: Vec<(usize, f64)> = places.collect();
         work.chain_factored(set, rows, &places, count, &mut jacobian);
-        let ColumnsOfSet { own, inputs } = &columns.of_sets[index];
-        let own = work.equations.by_own.iter().map(|by| (by, own));
-        let inputs = work.equations.by_input.iter().map(|by| (by, inputs));
-        for (&(equation, index, derivative), columns) in own.chain(inputs) {
-            if let Some((column, factor)) = columns[index] {
-                jacobian[equation * count + place(column)] += factor * derivative;
-            }
-        }
+        columns.each_own(index, &work.equations, |equation, (column, factor), derivative| {
+            jacobian[equation * count + place(column)] += factor * derivative;
+        });
         out.keep_columns(&jacobian, &of_rows);
         work.jacobian = jacobian;
         Ok(())
+    }
+
+    /// Evaluates poses, with derivatives in factors, and equations of some rows of a set at the problem's own values.
+    pub(super) fn evaluate_rows(
+        &self,
+        index: SetIndex,
+        rows: &[RowIndex],
+        columns: &Columns,
+        work: &mut Evaluation,
+    ) -> Result<()> {
+        let set = &self.sets[index];
+        self.monitor.check()?;
+        self.evaluate_factored(set, &columns.wanted, rows, work).map_err(|error| self.of_row(index, rows, error))?;
+        self.equations_of(set, rows, &work.factored.poses, &mut work.equations)
     }
 
     /// Evaluates poses and equations of some rows of a set at the problem's own values.
@@ -319,10 +326,10 @@ impl Problem {
 }
 
 /// Columns of the Jacobian of a problem.
-struct Columns {
+pub(super) struct Columns {
     /// The parameters of the model that are unknown, and the column of each with its factor there.
     wanted: Vec<Variable>,
-    machine: Vec<(usize, f64)>,
+    pub(super) machine: Vec<(usize, f64)>,
     of_sets: Vec<ColumnsOfSet>,
 }
 
@@ -337,7 +344,7 @@ struct ColumnsOfSet {
 impl ListedBy<SetIndex> for ColumnsOfSet {}
 
 impl Columns {
-    fn of(problem: &Problem) -> Self {
+    pub(super) fn of(problem: &Problem) -> Self {
         let none = |set: &ObservationSet| ColumnsOfSet {
             own: vec![None; set.own.len()],
             inputs: vec![None; set.inputs.len()],
@@ -368,6 +375,24 @@ impl Columns {
             }
         }
         Self { wanted, machine, of_sets }
+    }
+
+    /// Calls `take` for every derivative of some equations of a set to an own unknown or a known input that is unknown, with the equation,
+    /// and the column with its factor.
+    pub(super) fn each_own(
+        &self,
+        set: SetIndex,
+        equations: &Equations,
+        mut take: impl FnMut(usize, (usize, f64), f64),
+    ) {
+        let ColumnsOfSet { own, inputs } = &self.of_sets[set];
+        let own = equations.by_own.iter().map(|by| (by, own));
+        let inputs = equations.by_input.iter().map(|by| (by, inputs));
+        for (&(equation, index, derivative), columns) in own.chain(inputs) {
+            if let Some(column) = columns[index] {
+                take(equation, column, derivative);
+            }
+        }
     }
 
     /// The columns that some equations of a set may have, ascending: of many thousands of own unknowns those of these equations alone.

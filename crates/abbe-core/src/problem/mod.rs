@@ -6,6 +6,7 @@
 mod considered;
 mod evaluation;
 mod first_order;
+mod gradient;
 mod linearise;
 mod rows;
 mod tie;
