@@ -212,11 +212,6 @@ impl Dataset {
         self.columns.iter().find(|column| column.header.name == name)
     }
 
-    /// The same of a column that probably stands at this place among all: faster where it does.
-    pub(crate) fn column_near(&self, place: usize, name: &str) -> Option<&Column> {
-        self.columns.get(place).filter(|column| column.header.name == name).or_else(|| self.column(name))
-    }
-
     /// The numbers of a column.
     pub fn numbers(&self, name: &str) -> Option<&[f64]> {
         match &self.column(name)?.values {

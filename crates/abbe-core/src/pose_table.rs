@@ -115,7 +115,7 @@ impl PoseTable {
         self.push_from(data, row, model, (columns, &[]))
     }
 
-    /// The same of columns that probably stand at these places among those of the data.
+    /// The same of columns that stand at these places among those of the data, where places are known.
     pub(crate) fn push_from(
         &mut self,
         data: &Dataset,
@@ -124,10 +124,11 @@ impl PoseTable {
         (columns, places): (&[StatusSource], &[usize]),
     ) -> Result<()> {
         for (index, (status, source)) in model.info().status.iter().zip(columns).enumerate() {
-            let place = places.get(index).copied().unwrap_or(0);
+            let column =
+                |name: &str| places.get(index).map_or_else(|| data.column(name), |place| data.columns.get(*place));
             let value = match source {
                 StatusSource::Taken(value) => *value,
-                StatusSource::Column(name) => match data.column_near(place, name).map(|column| &column.values) {
+                StatusSource::Column(name) => match column(name).map(|column| &column.values) {
                     Some(Values::Numbers(numbers))
                         if matches!(status.role, StatusRole::Direction(_)) && numbers[row].abs() != 1.0 =>
                     {

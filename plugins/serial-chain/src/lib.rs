@@ -4,6 +4,7 @@ mod bodies;
 mod builder;
 mod c_code;
 mod derivatives;
+mod evaluate;
 mod finish;
 mod model;
 mod nominal;

@@ -7,11 +7,12 @@ use abbe_core::{
     PoseBatch, PosesMut, Result, SettingsError, Variable,
 };
 use abbe_errors::{Declaration, Functions};
-use abbe_kinematics::{Chain, Derivatives, EvaluatedPose, Evaluations, Given, StructuralLoop};
+use abbe_kinematics::{Chain, StructuralLoop};
 use nalgebra::Vector3;
 
 use crate::builder::{Builder, finite, key};
-use crate::derivatives::{At, Wanted, of_one_error};
+use crate::derivatives::{At, of_one_error};
+use crate::evaluate::AtPose;
 use crate::nominal::{FARTHEST, chain_axis, settle_body, settle_time, temperature_is_there, time_is_there};
 use crate::settings::Settings;
 
@@ -174,33 +175,8 @@ impl SerialChain {
         Ok(builder.finish(settings, resolved))
     }
 
-    /// Buffers for poses of a batch of so many.
-    fn work(&self, count: usize) -> Work {
-        let poses = if count == 1 { Evaluations::one() } else { Evaluations::side_by_side() };
-        let width = poses.poses();
-        Work {
-            functions: vec![0.0; width * self.functions],
-            errors: vec![0.0; 6 * self.chain.slots() * width],
-            commands: vec![0.0; self.info.axes.len() * width],
-            tips: vec![0.0; 3 * width],
-            poses,
-            room: Room::default(),
-        }
-    }
-
-    /// What the errors of a pose are the sum of, with these values.
-    fn terms(&self, used: &[usize], values: &[f64]) -> Vec<Term> {
-        let coefficients = used.iter().flat_map(|&basis| &self.bases[basis].coefficients);
-        let terms = coefficients.map(|(parameter, place)| Term {
-            error: 6 * place.slot + place.component,
-            function: place.function,
-            value: values[*parameter],
-        });
-        terms.filter(|term| term.value != 0.0).collect()
-    }
-
     /// The bases that have to be evaluated: those of coefficients that are not zero, or whose derivatives are wanted.
-    fn in_use(&self, values: &[f64], wanted: &[Variable]) -> Vec<usize> {
+    pub(crate) fn in_use(&self, values: &[f64], wanted: &[Variable]) -> Vec<usize> {
         let mut used = vec![false; self.bases.len()];
         let basis_of = |role: &ParameterUse| match role {
             ParameterUse::Coefficient(place) => Some(place.basis),
@@ -219,7 +195,7 @@ impl SerialChain {
     }
 
     /// The functions of a basis at a status.
-    fn functions_at(
+    pub(crate) fn functions_at(
         &self,
         basis: &FunctionBasis,
         At { status, values }: At<'_>,
@@ -237,7 +213,7 @@ impl SerialChain {
         Ok(())
     }
 
-    fn tip(&self, status: &[f64]) -> Result<&Vector3<f64>> {
+    pub(crate) fn tip(&self, status: &[f64]) -> Result<&Vector3<f64>> {
         let Some(column) = self.stylus_status else { return Ok(&self.tips[0]) };
         // A NaN (a stylus that no setting describes) is no index.
         self.tips.get(status[column] as usize).filter(|_| status[column] >= 0.0).ok_or_else(|| {
@@ -259,7 +235,7 @@ pub(crate) struct Room {
 
 impl FunctionBasis {
     /// Whether its functions, or the range where they are known, depend on the status of a pose.
-    fn is_of_status(&self) -> bool {
+    pub fn is_of_status(&self) -> bool {
         self.range.is_some() || self.arguments.iter().any(|source| matches!(source, Source::Status(_)))
     }
 
@@ -321,110 +297,6 @@ impl FunctionBasis {
             }
         }
         true
-    }
-}
-
-/// Buffers for poses that are evaluated side by side.
-struct Work {
-    /// Poses x functions.
-    functions: Vec<f64>,
-    /// Errors x poses.
-    errors: Vec<f64>,
-    /// Axes x poses.
-    commands: Vec<f64>,
-    /// Coordinates x poses.
-    tips: Vec<f64>,
-    poses: Evaluations,
-    room: Room,
-}
-
-/// A term of an error, which stands at 6 x slot + component: the value of a coefficient times a function.
-struct Term {
-    error: usize,
-    function: usize,
-    value: f64,
-}
-
-/// A pose of a batch with the values of the functions there.
-struct AtPose<'a> {
-    functions: &'a [f64],
-    pose: EvaluatedPose<'a>,
-}
-
-impl SerialChain {
-    /// The variables of a batch, sorted.
-    fn wanted(&self, batch: &PoseBatch<'_>) -> Wanted {
-        self.sorted(batch.wanted, &self.in_use(batch.values, batch.wanted))
-    }
-
-    /// Evaluates the poses of a batch, with derivatives to errors and commands where some are wanted, and shows them one after another.
-    fn at_each_pose(
-        &self,
-        batch: PoseBatch<'_>,
-        sorted: &mut Wanted,
-        mut take: impl FnMut(usize, &Wanted, AtPose<'_>),
-    ) -> Result<()> {
-        let PoseBatch { statuses, values, wanted, orientation } = batch;
-        let columns = self.info.status.len();
-        let mut work = self.work(statuses.len() / columns);
-        let mut buffers = (vec![0.0; self.functions], Vec::new());
-        let used = self.in_use(values, wanted);
-        let slots = self.slots_of(sorted);
-        let derivatives = match (wanted.is_empty(), orientation) {
-            (true, _) => Derivatives::None,
-            (_, false) => Derivatives::OfPosition(&slots),
-            (_, true) => Derivatives::OfPositionAndRotation(&slots),
-        };
-        let terms = self.terms(&used, values);
-        let width = work.poses.poses();
-        // Functions that no status is an argument of have one value at all poses.
-        let (used, same): (Vec<usize>, Vec<usize>) = used.iter().partition(|&&basis| self.bases[basis].is_of_status());
-        if let Some(status) = statuses.chunks_exact(columns).next() {
-            for place in 0..width {
-                self.functions_of(&same, &mut work, place, At { status, values }).map_err(|error| error.at_pose(0))?;
-            }
-        }
-        for (group, statuses) in statuses.chunks(columns * width).enumerate() {
-            work.errors.fill(0.0);
-            for (place, status) in statuses.chunks_exact(columns).enumerate() {
-                self.give(&mut work, place, At { status, values }, (&used, &terms))
-                    .map_err(|error| error.at_pose(group * width + place))?;
-            }
-            let Work { errors, commands, tips, poses, .. } = &mut work;
-            let given = Given { commands, errors, tips };
-            match self.first_order {
-                true => poses.evaluate_first_order(&self.chain, given),
-                false => poses.evaluate(&self.chain, given, derivatives),
-            }
-            for (place, status) in statuses.chunks_exact(columns).enumerate() {
-                self.slopes(sorted, At { status, values }, &mut buffers);
-                let functions = &work.functions[place * self.functions..(place + 1) * self.functions];
-                take(group * width + place, sorted, AtPose { functions, pose: work.poses.pose(place) });
-            }
-        }
-        Ok(())
-    }
-
-    /// Writes the values of the functions of some bases to the place of a pose.
-    fn functions_of(&self, bases: &[usize], work: &mut Work, place: usize, at: At<'_>) -> Result<()> {
-        let Work { functions, room, .. } = work;
-        let functions = &mut functions[place * self.functions..(place + 1) * self.functions];
-        bases.iter().try_for_each(|&basis| self.functions_at(&self.bases[basis], at, room, functions))
-    }
-
-    /// Writes what a pose is evaluated at to its place among those that are evaluated with it; errors are added.
-    fn give(&self, work: &mut Work, place: usize, at: At<'_>, (used, terms): (&[usize], &[Term])) -> Result<()> {
-        self.functions_of(used, work, place, at)?;
-        let width = work.poses.poses();
-        let functions = &work.functions[place * self.functions..(place + 1) * self.functions];
-        terms.iter().for_each(|term| work.errors[term.error * width + place] += term.value * functions[term.function]);
-        for (axis, command) in at.status[..self.info.axes.len()].iter().enumerate() {
-            work.commands[axis * width + place] = *command;
-        }
-        for (coordinate, tip) in self.tip(at.status)?.iter().enumerate() {
-            work.tips[coordinate * width + place] = *tip;
-        }
-        Ok(())
     }
 }
 

@@ -1,0 +1,156 @@
+//! The poses of a batch, evaluated side by side.
+
+use abbe_core::{PoseBatch, Result};
+use abbe_kinematics::{Derivatives, EvaluatedPose, Evaluations, Given};
+
+use crate::derivatives::{At, Wanted};
+use crate::model::{Room, SerialChain};
+
+/// Buffers for poses that are evaluated side by side.
+struct Work {
+    /// Poses x functions.
+    functions: Vec<f64>,
+    /// Errors x poses.
+    errors: Vec<f64>,
+    /// Axes x poses.
+    commands: Vec<f64>,
+    /// Coordinates x poses.
+    tips: Vec<f64>,
+    poses: Evaluations,
+    room: Room,
+}
+
+/// A term of an error, which stands at 6 x slot + component: the value of a coefficient times a function.
+struct Term {
+    error: usize,
+    function: usize,
+    value: f64,
+    /// Whether it is the first term of its error.
+    is_first: bool,
+}
+
+/// A pose of a batch with the values of the functions there.
+pub(crate) struct AtPose<'a> {
+    pub functions: &'a [f64],
+    pub pose: EvaluatedPose<'a>,
+}
+
+impl SerialChain {
+    /// Buffers for poses of a batch of so many.
+    fn work(&self, count: usize) -> Work {
+        let poses = if count == 1 { Evaluations::one() } else { Evaluations::side_by_side() };
+        let width = poses.poses();
+        Work {
+            functions: vec![0.0; width * self.functions],
+            errors: vec![0.0; 6 * self.chain.slots() * width],
+            commands: vec![0.0; self.info.axes.len() * width],
+            tips: vec![0.0; 3 * width],
+            poses,
+            room: Room::default(),
+        }
+    }
+
+    /// What the errors of a pose are the sum of, with these values; terms of one error stand together.
+    fn terms(&self, used: &[usize], values: &[f64]) -> Vec<Term> {
+        let coefficients = used.iter().flat_map(|&basis| &self.bases[basis].coefficients);
+        let terms = coefficients.map(|(parameter, place)| Term {
+            error: 6 * place.slot + place.component,
+            function: place.function,
+            value: values[*parameter],
+            is_first: true,
+        });
+        let mut terms: Vec<Term> = terms.filter(|term| term.value != 0.0).collect();
+        terms.sort_by_key(|term| term.error);
+        for place in 1..terms.len() {
+            terms[place].is_first = terms[place - 1].error != terms[place].error;
+        }
+        terms
+    }
+
+    /// The variables of a batch, sorted.
+    pub fn wanted(&self, batch: &PoseBatch<'_>) -> Wanted {
+        self.sorted(batch.wanted, &self.in_use(batch.values, batch.wanted))
+    }
+
+    /// Evaluates the poses of a batch, with derivatives to errors and commands where some are wanted, and shows them one after another.
+    pub fn at_each_pose(
+        &self,
+        batch: PoseBatch<'_>,
+        sorted: &mut Wanted,
+        mut take: impl FnMut(usize, &Wanted, AtPose<'_>),
+    ) -> Result<()> {
+        let PoseBatch { statuses, values, wanted, orientation } = batch;
+        let columns = self.info.status.len();
+        let mut work = self.work(statuses.len() / columns);
+        let mut buffers = (vec![0.0; self.functions], Vec::new());
+        let used = self.in_use(values, wanted);
+        let slots = self.slots_of(sorted);
+        let derivatives = match (wanted.is_empty(), orientation) {
+            (true, _) => Derivatives::None,
+            (_, false) => Derivatives::OfPosition(&slots),
+            (_, true) => Derivatives::OfPositionAndRotation(&slots),
+        };
+        let terms = self.terms(&used, values);
+        let width = work.poses.poses();
+        // Functions that no status is an argument of have one value at all poses.
+        let (used, same): (Vec<usize>, Vec<usize>) = used.iter().partition(|&&basis| self.bases[basis].is_of_status());
+        if let Some(status) = statuses.chunks_exact(columns).next() {
+            for place in 0..width {
+                self.functions_of(&same, &mut work, place, At { status, values }).map_err(|error| error.at_pose(0))?;
+            }
+        }
+        for (group, statuses) in statuses.chunks(columns * width).enumerate() {
+            for (place, status) in statuses.chunks_exact(columns).enumerate() {
+                self.give(&mut work, place, At { status, values }, &used)
+                    .map_err(|error| error.at_pose(group * width + place))?;
+            }
+            self.give_errors(&mut work, &terms);
+            let Work { errors, commands, tips, poses, .. } = &mut work;
+            let given = Given { commands, errors, tips };
+            match self.first_order {
+                true => poses.evaluate_first_order(&self.chain, given),
+                false => poses.evaluate(&self.chain, given, derivatives),
+            }
+            for (place, status) in statuses.chunks_exact(columns).enumerate() {
+                self.slopes(sorted, At { status, values }, &mut buffers);
+                let functions = &work.functions[place * self.functions..(place + 1) * self.functions];
+                take(group * width + place, sorted, AtPose { functions, pose: work.poses.pose(place) });
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes the values of the functions of some bases to the place of a pose.
+    fn functions_of(&self, bases: &[usize], work: &mut Work, place: usize, at: At<'_>) -> Result<()> {
+        let Work { functions, room, .. } = work;
+        let functions = &mut functions[place * self.functions..(place + 1) * self.functions];
+        bases.iter().try_for_each(|&basis| self.functions_at(&self.bases[basis], at, room, functions))
+    }
+
+    /// Writes what a pose is evaluated at, but for its errors, to its place among those that are evaluated with it.
+    fn give(&self, work: &mut Work, place: usize, at: At<'_>, used: &[usize]) -> Result<()> {
+        self.functions_of(used, work, place, at)?;
+        let width = work.poses.poses();
+        for (axis, command) in at.status[..self.info.axes.len()].iter().enumerate() {
+            work.commands[axis * width + place] = *command;
+        }
+        for (coordinate, tip) in self.tip(at.status)?.iter().enumerate() {
+            work.tips[coordinate * width + place] = *tip;
+        }
+        Ok(())
+    }
+
+    /// Writes the errors of all poses that are evaluated together, whose functions are known. Errors without a term stay zero.
+    fn give_errors(&self, work: &mut Work, terms: &[Term]) {
+        let Work { functions, errors, poses, .. } = work;
+        let width = poses.poses();
+        for term in terms {
+            let of_poses = functions.iter().skip(term.function).step_by(self.functions.max(1));
+            let errors = errors[term.error * width..(term.error + 1) * width].iter_mut().zip(of_poses);
+            match term.is_first {
+                true => errors.for_each(|(error, function)| *error = term.value * function),
+                false => errors.for_each(|(error, function)| *error += term.value * function),
+            }
+        }
+    }
+}
