@@ -4,6 +4,7 @@ use abbe_core::Variable;
 use abbe_kinematics::ByErrorAndCommand;
 use nalgebra::Vector3;
 
+use crate::evaluate::ValuesAtPose;
 use crate::model::{CoefficientPlace, ParameterUse, SerialChain, Source};
 
 /// Variables to which derivatives are wanted, each with its index among all of them.
@@ -108,11 +109,11 @@ impl Argument {
 impl Wanted {
     /// Writes the derivatives of position or rotation, as in `by`, with the values of the functions and the slopes at the pose.
     /// Derivatives that are zero are not written.
-    pub fn write(&self, functions: &[f64], by: ByErrorAndCommand<'_>, out: &mut [[f64; 3]]) {
+    pub fn write(&self, functions: ValuesAtPose<'_>, by: ByErrorAndCommand<'_>, out: &mut [[f64; 3]]) {
         for coefficients in self.coefficients.chunk_by(of_one_error) {
             let by_error = by.error(coefficients[0].1.slot, coefficients[0].1.component);
             for (index, place) in coefficients {
-                let function = functions[place.function];
+                let function = functions.of(place.function);
                 // Of piecewise functions most are zero at a given command.
                 if function != 0.0 {
                     // A factor acts in several errors.
@@ -137,8 +138,8 @@ impl Wanted {
     }
 
     /// Adds the factors of these terms at a pose, with the values of the functions there.
-    pub fn add_factors(&self, functions: &[f64], out: &mut Vec<f64>) {
-        out.extend(self.coefficients.iter().map(|(_, place)| functions[place.function]));
+    pub fn add_factors(&self, functions: ValuesAtPose<'_>, out: &mut Vec<f64>) {
+        out.extend(self.coefficients.iter().map(|(_, place)| functions.of(place.function)));
         out.extend(self.arguments.iter().map(|_| 1.0));
     }
 

@@ -8,8 +8,10 @@ use crate::model::{Room, SerialChain};
 
 /// Buffers for poses that are evaluated side by side.
 struct Work {
-    /// Poses x functions.
+    /// Functions x poses.
     functions: Vec<f64>,
+    /// Those of one pose.
+    of_pose: Vec<f64>,
     /// Errors x poses.
     errors: Vec<f64>,
     /// Axes x poses.
@@ -29,9 +31,25 @@ struct Term {
     is_first: bool,
 }
 
+/// The values of the functions at a pose.
+#[derive(Clone, Copy)]
+pub(crate) struct ValuesAtPose<'a> {
+    /// Functions x poses.
+    all: &'a [f64],
+    poses: usize,
+    pose: usize,
+}
+
+impl ValuesAtPose<'_> {
+    /// The value of a function.
+    pub fn of(&self, function: usize) -> f64 {
+        self.all[function * self.poses + self.pose]
+    }
+}
+
 /// A pose of a batch with the values of the functions there.
 pub(crate) struct AtPose<'a> {
-    pub functions: &'a [f64],
+    pub functions: ValuesAtPose<'a>,
     pub pose: EvaluatedPose<'a>,
 }
 
@@ -41,7 +59,8 @@ impl SerialChain {
         let poses = if count == 1 { Evaluations::one() } else { Evaluations::side_by_side() };
         let width = poses.poses();
         Work {
-            functions: vec![0.0; width * self.functions],
+            functions: vec![0.0; self.functions * width],
+            of_pose: vec![0.0; self.functions],
             errors: vec![0.0; 6 * self.chain.slots() * width],
             commands: vec![0.0; self.info.axes.len() * width],
             tips: vec![0.0; 3 * width],
@@ -113,7 +132,7 @@ impl SerialChain {
             }
             for (place, status) in statuses.chunks_exact(columns).enumerate() {
                 self.slopes(sorted, At { status, values }, &mut buffers);
-                let functions = &work.functions[place * self.functions..(place + 1) * self.functions];
+                let functions = ValuesAtPose { all: &work.functions, poses: width, pose: place };
                 take(group * width + place, sorted, AtPose { functions, pose: work.poses.pose(place) });
             }
         }
@@ -122,9 +141,14 @@ impl SerialChain {
 
     /// Writes the values of the functions of some bases to the place of a pose.
     fn functions_of(&self, bases: &[usize], work: &mut Work, place: usize, at: At<'_>) -> Result<()> {
-        let Work { functions, room, .. } = work;
-        let functions = &mut functions[place * self.functions..(place + 1) * self.functions];
-        bases.iter().try_for_each(|&basis| self.functions_at(&self.bases[basis], at, room, functions))
+        let Work { functions, of_pose, room, poses, .. } = work;
+        let width = poses.poses();
+        for basis in bases.iter().map(|&basis| &self.bases[basis]) {
+            self.functions_at(basis, at, room, of_pose)?;
+            let own = &of_pose[basis.first..basis.first + basis.count];
+            own.iter().zip(basis.first..).for_each(|(value, function)| functions[function * width + place] = *value);
+        }
+        Ok(())
     }
 
     /// Writes what a pose is evaluated at, but for its errors, to its place among those that are evaluated with it.
@@ -145,8 +169,8 @@ impl SerialChain {
         let Work { functions, errors, poses, .. } = work;
         let width = poses.poses();
         for term in terms {
-            let of_poses = functions.iter().skip(term.function).step_by(self.functions.max(1));
-            let errors = errors[term.error * width..(term.error + 1) * width].iter_mut().zip(of_poses);
+            let functions = &functions[term.function * width..(term.function + 1) * width];
+            let errors = errors[term.error * width..(term.error + 1) * width].iter_mut().zip(functions);
             match term.is_first {
                 true => errors.for_each(|(error, function)| *error = term.value * function),
                 false => errors.for_each(|(error, function)| *error += term.value * function),

@@ -1,5 +1,6 @@
 //! Residuals and derivatives of a problem: the chain rule over the poses of the model and the equations of the artefacts.
 
+use std::ops::Range;
 use std::sync::mpsc::{channel, sync_channel};
 
 use super::evaluation::Evaluation;
@@ -428,9 +429,16 @@ impl Linearised {
         self.unknowns.clear();
         self.unknowns.extend(columns.iter().zip(&sizes).filter(|(_, size)| **size != 0.0).map(|(column, _)| *column));
         self.derivatives.clear();
+        if self.unknowns.len() == count {
+            return self.derivatives.extend_from_slice(jacobian);
+        }
+        // Columns that are kept stand side by side more often than not.
+        let places: Vec<usize> = (0..count).filter(|place| sizes[*place] != 0.0).collect();
+        let runs: Vec<Range<usize>> =
+            places.chunk_by(|one, other| one + 1 == *other).map(|run| run[0]..run[0] + run.len()).collect();
+        self.derivatives.reserve(self.unknowns.len() * self.residuals.len());
         for line in jacobian.chunks_exact(count.max(1)) {
-            let kept = line.iter().zip(&sizes).filter(|(_, size)| **size != 0.0);
-            self.derivatives.extend(kept.map(|(value, _)| *value));
+            runs.iter().for_each(|run| self.derivatives.extend_from_slice(&line[run.clone()]));
         }
     }
 }
