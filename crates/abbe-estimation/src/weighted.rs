@@ -182,6 +182,15 @@ impl LeastSquares for Weighted<'_> {
         self.gradient_and_residuals(x).map(|(gradient, _)| gradient)
     }
 
+    fn factor_near(&self, x: &[f64], known: &Factor) -> Result<Option<Factor>> {
+        if self.is_correlated() {
+            return Ok(None);
+        }
+        let (gradient, residuals) = self.gradient_and_residuals(x)?;
+        let squares = self.in_uncertainties(residuals).iter().map(|residual| residual * residual).sum();
+        Ok(known.with_gradient(&gradient, squares))
+    }
+
     fn factor(&self, x: &[f64], weights: Option<&[f64]>) -> Result<Factor> {
         Weighted::factor(self, x, weights)
     }

@@ -66,6 +66,11 @@ pub trait Descent {
 
     /// The factor of all rows at x with these statistical weights, all 1 if there are none.
     fn factor_at(&self, x: &[f64], weights: Option<&[f64]>) -> Result<Self::Factor, Self::Error>;
+
+    /// The factor at x, with the triangle of one that is known nearby ([`LeastSquares::factor_near`]); None where it is not faster.
+    fn near(&self, _x: &[f64], _known: &Self::Factor) -> Result<Option<Self::Factor>, Self::Error> {
+        Ok(None)
+    }
 }
 
 impl<P: LeastSquares + ?Sized> Descent for P {
@@ -86,6 +91,10 @@ impl<P: LeastSquares + ?Sized> Descent for P {
 
     fn factor_at(&self, x: &[f64], weights: Option<&[f64]>) -> Result<Factor, Self::Error> {
         self.factor(x, weights)
+    }
+
+    fn near(&self, x: &[f64], known: &Factor) -> Result<Option<Factor>, Self::Error> {
+        self.factor_near(x, known)
     }
 }
 

@@ -57,6 +57,12 @@ pub trait LeastSquares {
         Ok(gradient)
     }
 
+    /// The factor of all rows at x, which lies next to the place of a factor that is known: its triangle, with the gradient and the cost
+    /// at x ([`Factor::with_gradient`]). None where this takes as long as [`factor`](Self::factor).
+    fn factor_near(&self, _x: &[f64], _known: &Factor) -> Result<Option<Factor>, Self::Error> {
+        Ok(None)
+    }
+
     /// The factor of all rows at x with these statistical weights (all 1 if there are none).
     ///
     /// A problem whose rows depend on few of its unknowns may be faster than [`linearise`](Self::linearise) is: it gives them to
@@ -160,7 +166,8 @@ pub struct Solution<F = Factor> {
 
 /// Minimises the sum of squares from `start`; see [`Options`].
 ///
-/// Every step is that of the linearised problem, columns scaled, and is halved while it does not make the sum of squares smaller, or leads to where nothing can be evaluated.
+/// Every step is that of the linearised problem, columns scaled, and is halved while it does not make the sum of squares smaller, or leads
+/// to where nothing can be evaluated. Steps after one below 1e-5 take the triangle from before it where that is faster.
 ///
 /// Fails if the start cannot be evaluated. Fails with the last error if no part of a step can be evaluated, and at once with
 /// an error that is final ([`LeastSquares::is_final`]), unless the time is over and there is an iterate.
@@ -228,6 +235,10 @@ fn step_of(factor: &impl Steps) -> Option<(Vec<f64>, f64)> {
     size.is_finite().then_some((step, size))
 }
 
+/// Size of a step, in standard uncertainties of all rows together, that changes nothing of what their triangle tells: steps after it take
+/// the triangle from before it.
+const SAME_TRIANGLE: f64 = 1e-5;
+
 pub(crate) fn minimise<P: Descent + ?Sized>(
     problem: &P,
     mut x: Vec<f64>,
@@ -254,7 +265,8 @@ pub(crate) fn minimise<P: Descent + ?Sized>(
             return Ok(Minimum { x, end: End::Converged, iterations, last_step: size, factor });
         }
         smallest = smallest.min(size);
-        let lower = match downhill(problem, (&x, &step), factor.cost(), weights) {
+        let keeps = weights.is_none() && size <= SAME_TRIANGLE;
+        let lower = match downhill(problem, (&x, &step), (&factor, keeps), weights) {
             Err(error) if problem.is_late(&error) => {
                 return Ok(Minimum { x, end: End::TimeLimit, iterations: iterations - 1, last_step: size, factor });
             }
@@ -313,15 +325,27 @@ const TRIALS: usize = 3;
 /// that the iteration is slow.
 const CUT: f64 = 1e-6;
 
-/// The first of a step from x, its half, its quarter and so on that does not make the sum of squares larger than `cost`, with the
-/// factor there and the part that it is; None if no part does.
+/// The first of a step from x, its half, its quarter and so on that does not make the sum of squares larger than that of `factor`, with
+/// the factor there and the part that it is; None if no part does. With `keeps`, the whole step may keep the triangle of `factor`.
 fn downhill<P: Descent + ?Sized>(
     problem: &P,
     (x, step): (&[f64], &[f64]),
-    cost: f64,
+    (factor, keeps): (&P::Factor, bool),
     weights: Option<&[f64]>,
 ) -> Result<Option<Lower<P::Factor>>, P::Error> {
     let (mut evaluated, mut refused, mut part, mut trials) = (false, None, 1.0, 0);
+    let cost = factor.cost();
+    if keeps {
+        let mut whole = x.to_vec();
+        add(&mut whole, step, part);
+        match problem.near(&whole, factor) {
+            Ok(Some(near)) if near.cost() <= cost * (1.0 + 1e-12) + f64::MIN_POSITIVE => {
+                return Ok(Some(Lower { x: whole, factor: near, part, trials: 1 }));
+            }
+            Err(error) if problem.has_no_more(&error) => return Err(error),
+            Ok(_) | Err(_) => {}
+        }
+    }
     while part >= LEAST_PART {
         let mut trial = x.to_vec();
         trials += 1;

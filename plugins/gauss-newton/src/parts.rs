@@ -26,9 +26,9 @@ const ROUNDING: f64 = 1e-12;
 /// Size of a step, in standard uncertainties of all rows together, that changes nothing of what rows tell beside the values.
 const HARDLY_OFF: f64 = 1e-5;
 
-/// Size of a step, in standard uncertainties of all rows together, that changes their triangle by next to nothing: steps after it take
-/// the triangle from before it. A column that is nearly zero changes most; after a step of 300 its change made steps shrink by 1e-3
-/// instead of 5e-5.
+/// Size of a step, in standard uncertainties of all rows together, that changes their triangle by next to nothing: the steps after it take
+/// the triangle from before it. A column that is nearly zero changes most: in an estimate of 200,000 touches, steps after one of 300 shrank
+/// by 1e-3 each with the triangle from before it, and by 5e-5 with their own.
 const SAME_TRIANGLE: f64 = 1.0;
 
 /// How much shorter each step is near the solution, at least.
