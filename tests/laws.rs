@@ -204,6 +204,18 @@ fn a_derivative_with_the_wrong_sign_breaks_a_law() {
     assert!(broken.iter().all(|law| law.contains("the derivative to z of the tip of pose 0")), "{broken:#?}");
 }
 
+/// Sums over rows that nobody makes, for artefacts with own unknowns, known inputs, ties, several poses, and orientations.
+#[test]
+fn gradients_are_those_of_the_rows() {
+    for name in ["first-steps", "mill-direct", "robot-ur5", "standards-rtest", "linuxcnc-balls"] {
+        for fit in Variant::of(&recipes()[name]).run().fits {
+            let problem = fit.problem.with_values(&fit.problem.values_of(&fit.calibration));
+            let broken = abbe_estimation::laws::check_gradient(&problem).expect("the machine has poses");
+            assert!(broken.is_empty(), "{name}, {}: {broken:#?}", fit.name);
+        }
+    }
+}
+
 /// Observations that compute nothing, whatever the machine does.
 struct Nothing(std::sync::Arc<dyn abbe_core::Observations>);
 

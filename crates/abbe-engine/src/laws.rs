@@ -56,6 +56,8 @@ impl Prepared {
                 }
             };
             let at = measured.with_values(&solution);
+            let broken = laws::check_gradient(&at).unwrap_or_else(|error| vec![error.to_string()]);
+            found.broken.extend(broken.into_iter().map(|law| format!("{}: {law}", stage.name)));
             for (index, set) in SetIndex::enumerate(&at.sets) {
                 let artefact = self.recipe.stages.iter().find(|stage| stage.name == set.name);
                 let plugin = artefact.map_or_else(String::new, |stage| stage.plugin.clone());

@@ -4,6 +4,7 @@
 //!   pose does not depend on other poses of its batch; names are unique.
 //! - [`check_observations`]: derivatives of equations agree with difference quotients; rows do not depend on other rows of their
 //!   batch, nor on their order; names are unique.
+//! - [`check_gradient`]: sums of derivatives times residuals are those of the rows.
 //! - [`check_independence`]: an artefact that says that its rows are independent makes the same of some rows as of all.
 //! - [`check_parts`]: an estimator that takes rows in parts makes of them what it makes of all rows.
 //! - [`check_estimator`]: the given errors are found again from exact data, for any order of rows, origin of the machine and
@@ -22,7 +23,7 @@ mod virtual_machine;
 pub use estimator::{check_estimate, check_estimator, largest_derivatives};
 pub use independence::check_independence;
 pub use model::{check_model, check_model_within, samples};
-pub use observations::check_observations;
+pub use observations::{check_gradient, check_observations};
 pub use parts::check_parts;
 pub use virtual_machine::virtual_problem;
 

@@ -1,6 +1,8 @@
 //! Laws of observations.
 
-use abbe_core::{Equations, Evaluation, ObservationSet, Problem, Quantity, Result, RowBatch, RowIndex, SetIndex};
+use abbe_core::{
+    EquationIndex, Equations, Evaluation, ObservationSet, Problem, Quantity, Result, RowBatch, RowIndex, SetIndex,
+};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::{agrees, names};
@@ -49,6 +51,40 @@ pub fn check_observations(problem: &Problem, set: SetIndex) -> Result<Vec<String
     let together = together.equations.residuals();
     if !alone.zip(together).all(|(one, other)| (one - other).abs() <= 1e-12 * one.abs().max(1.0)) {
         broken.push("a row gives other residuals alone than among others".to_owned());
+    }
+    Ok(broken)
+}
+
+/// Part of the sum of the absolute products by which a sum of products may differ: rounding.
+const ROUNDED: f64 = 1e-11;
+
+/// Whether the sums that [`Problem::gradient`] makes without rows are those of the rows, at the problem's own values; empty if they are.
+///
+/// Fails where the machine has no pose in a row.
+pub fn check_gradient(problem: &Problem) -> Result<Vec<String>> {
+    let start = problem.start();
+    // Any numbers will do; not all rows count alike.
+    let counts = |equation: EquationIndex, residual: f64| residual + 0.1 + 0.01 * (equation.0 % 7) as f64;
+    let (found, residuals) = problem.gradient(&start, &counts)?;
+    let (mut sums, mut sizes, mut of_rows) = (vec![0.0; start.len()], vec![0.0; start.len()], Vec::new());
+    problem.linearise(&start, |block| {
+        for (equation, residual, line) in block.lines() {
+            of_rows.push(residual);
+            for ((sum, size), derivative) in sums.iter_mut().zip(&mut sizes).zip(line) {
+                let product: f64 = derivative * counts(equation, residual);
+                *sum += product;
+                *size += product.abs();
+            }
+        }
+    })?;
+    let differs = |(_, ((found, sum), size)): &(_, ((&f64, &f64), &f64))| (*found - *sum).abs() > ROUNDED * *size;
+    let all = problem.unknowns.iter().zip(found.iter().zip(&sums).zip(&sizes));
+    let broken = all.filter(differs).map(|(unknown, ((found, sum), _))| {
+        format!("the gradient to `{}` is {found:e}, and {sum:e} by the rows", unknown.name)
+    });
+    let mut broken: Vec<String> = broken.collect();
+    if residuals != of_rows {
+        broken.push("the gradient comes with other residuals than the rows have".to_owned());
     }
     Ok(broken)
 }
