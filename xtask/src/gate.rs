@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::{Outcome, borders, cargo, header, linuxcnc, packages, python, root, run as run_command, untested};
+use crate::{Outcome, borders, cargo, counts, header, linuxcnc, packages, python, root, run as run_command, untested};
 
 /// Tests that need another program stand in a module of this name.
 const OUTSIDE: &str = "outside::";
@@ -101,8 +101,9 @@ fn other_programs(tests: &mut Tests) -> Outcome {
     let without_control = linuxcnc::TESTS.iter().flat_map(|name| ["--skip", *name]);
     let of_tests = tests.run(&whole.into_iter().chain([OUTSIDE]).chain(without_control).collect::<Vec<_>>());
     let of_python = tests.python();
+    let of_counts = tests.counts();
     let of_oldest = oldest.and_then(|oldest| tests.oldest_rust(oldest));
-    let others = [of_control, of_tests, of_python, of_oldest, tests.licences()];
+    let others = [of_control, of_tests, of_python, of_counts, of_oldest, tests.licences()];
     let failed: Vec<String> = others.into_iter().filter_map(Result::err).collect();
     if failed.is_empty() { Ok(()) } else { Err(failed.join("; ")) }
 }
@@ -146,6 +147,18 @@ impl Tests {
         self.passed += found.passed;
         self.failed += found.failed;
         self.skipped.extend(found.skipped);
+        Ok(())
+    }
+
+    /// Whether the main kernels take no more instructions than they did.
+    fn counts(&mut self) -> Outcome {
+        match counts::run(false).map_err(|error| format!("instructions: {error}"))? {
+            counts::Compared::Kept(words) => {
+                println!("{words}");
+                self.passed += 1;
+            }
+            counts::Compared::Skipped(reason) => self.skipped.push(format!("instructions: {reason}")),
+        }
         Ok(())
     }
 

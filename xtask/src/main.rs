@@ -2,6 +2,7 @@
 //!
 //! - `cargo xtask ci [--all]`: everything the gate asks for, the same on every machine; with `--all` nothing may be skipped.
 //! - `cargo xtask bench [--save]`: run the benchmarks, compare with (or write) `benches/baseline.json`.
+//! - `cargo xtask counts [--save]`: count the instructions of the main kernels, compare with (or write) `benches/instructions.json`.
 //! - `cargo xtask campaign coverage SETS`: whether intervals cover the truth, in SETS simulated measurements each (`tests/coverage.rs`).
 //! - `cargo xtask campaign limits MACHINES`: how many of MACHINES that stand exactly at their limit are accepted
 //!   (`tests/at_the_limit.rs`).
@@ -21,6 +22,7 @@
 //!   crosses the border of plugins, in `docs/schemas/plugin`.
 
 mod borders;
+mod counts;
 mod gate;
 mod header;
 mod linuxcnc;
@@ -44,6 +46,8 @@ fn main() -> ExitCode {
         ["ci", "--all"] => gate::run(true),
         ["bench"] => bench(false),
         ["bench", "--save"] => bench(true),
+        ["counts"] => count(false),
+        ["counts", "--save"] => count(true),
         ["campaign", "coverage", sets] => {
             let mut tests = cargo(&["test", "--release", "--locked", "--package", "abbe-tests", "--", "coverage::"]);
             tests.env("ABBE_COVERAGE_SETS", sets);
@@ -85,7 +89,7 @@ fn main() -> ExitCode {
         ["linuxcnc", "--create-user"] => linuxcnc::run(true),
         ["python"] => python::run(),
         ["schema"] => schema(),
-        _ => Err("usage: cargo xtask ci [--all] | bench [--save] | campaign NAME COUNT SEED | fuzz [--release] --executions COUNT --seed SEED [TARGET] | mutate --runs COUNT --seed SEED | header | linuxcnc [--create-user] \
+        _ => Err("usage: cargo xtask ci [--all] | bench [--save] | counts [--save] | campaign NAME COUNT SEED | fuzz [--release] --executions COUNT --seed SEED [TARGET] | mutate --runs COUNT --seed SEED | header | linuxcnc [--create-user] \
                      | python | schema\ncampaigns: controls, machines, compensation, tango, bad-inputs, signals, hostile, fleet, sizes, spindle, touches; \
                      coverage COUNT; limits COUNT; faults all"
             .to_owned()),
@@ -125,6 +129,17 @@ fn run(mut command: Command) -> Outcome {
         Ok(status) => Err(format!("{command:?} ended with {status}")),
         Err(error) => Err(format!("{command:?} cannot be run: {error}")),
     }
+}
+
+/// Counts instructions of the program of the tests as it is now, built as the gate builds it.
+fn count(save: bool) -> Outcome {
+    let build = ["test", "--workspace", "--test", "whole", "--no-run", "--locked"];
+    run(cargo(&[&build[..], &gate::FEATURES].concat()))?;
+    match counts::run(save)? {
+        counts::Compared::Kept(words) => println!("{words}"),
+        counts::Compared::Skipped(reason) => println!("skipped: {reason}"),
+    }
+    Ok(())
 }
 
 /// Inputs that nobody meant, in a program that is built with these options.
