@@ -6,9 +6,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Feature, InputFile, KinematicModel, Layout,
-    Observations, ObservationsInfo, Quantity, Registry, Result, RowBatch, RowIndex, SettingsError, Target,
-    plain_naming, pose_columns, positive,
+    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Feature, InputFile, KinematicModel,
+    LabelText, Layout, Observations, ObservationsInfo, Quantity, Registry, Result, RowBatch, RowIndex, SettingsError,
+    Target, plain_naming, pose_columns, positive,
 };
 use abbe_engine::prepare;
 use schemars::JsonSchema;
@@ -55,8 +55,8 @@ struct KnownPoints {
 impl KnownPoints {
     fn points(&self) -> Result<Vec<(String, [f64; 3])>> {
         let table = abbe_table::read(&self.nominal)?;
-        let labels = abbe_table::labels(&table, "feature")?.to_vec();
-        Ok(labels.into_iter().zip(abbe_table::points(&table, ["x", "y", "z"])?).collect())
+        let labels = abbe_table::labels(&table, "feature")?.iter().map(LabelText::to_string);
+        Ok(labels.zip(abbe_table::points(&table, ["x", "y", "z"])?).collect())
     }
 }
 
@@ -71,7 +71,8 @@ impl Artefact for KnownPoints {
         abbe_table::require(headers, file, &[("feature", Quantity::Label)])
     }
 
-    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+    fn observe(&self, data: &Arc<Dataset>, model: &Arc<dyn KinematicModel>) -> Result<Arc<dyn Observations>> {
+        let model = model.as_ref();
         let points = self.points()?;
         let mut layout = Layout::new(data, model, &[&plain_naming])?;
         let mut point_of_row = Vec::new();

@@ -193,7 +193,7 @@ fn gross(problem: &Problem, random: &mut Generator) -> BTreeMap<String, f64> {
         let (is_hit, size, sign) = (chance() < GROSS_PART, chance(), chance());
         if is_hit {
             let size = GROSS[0] + size * (GROSS[1] - GROSS[0]);
-            hit.insert(touch.clone(), if sign < 0.5 { size } else { -size });
+            hit.insert(touch.to_string(), if sign < 0.5 { size } else { -size });
         }
     }
     hit

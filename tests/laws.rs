@@ -265,7 +265,7 @@ impl abbe_core::Artefact for Dependent {
     fn observe(
         &self,
         data: &std::sync::Arc<abbe_core::Dataset>,
-        model: &dyn abbe_core::KinematicModel,
+        model: &std::sync::Arc<dyn abbe_core::KinematicModel>,
     ) -> abbe_core::Result<std::sync::Arc<dyn abbe_core::Observations>> {
         self.0.observe(data, model)
     }
@@ -273,7 +273,7 @@ impl abbe_core::Artefact for Dependent {
     fn observe_some(
         &self,
         data: &std::sync::Arc<abbe_core::Dataset>,
-        model: &dyn abbe_core::KinematicModel,
+        model: &std::sync::Arc<dyn abbe_core::KinematicModel>,
     ) -> abbe_core::Result<Option<std::sync::Arc<dyn abbe_core::Observations>>> {
         self.0.observe_some(data, model)
     }
@@ -298,8 +298,7 @@ fn rows_that_depend_on_each_other_break_a_law() {
         let artefact = build.build(&settings, &abbe_core::Context { base: root() });
         let artefact = Dependent(artefact.unwrap_or_else(|error| panic!("{error:?}")));
         let data = &problem.sets[0].info().layout.data;
-        abbe_estimation::laws::check_independence(&artefact, data, problem.model.as_ref())
-            .expect("the machine has poses")
+        abbe_estimation::laws::check_independence(&artefact, data, &problem.model).expect("the machine has poses")
     };
     let nominal = "pipelines/data/tango-hu40t/realistic/facets.csv";
     let settings = json!({ "nominal": nominal, "standard_uncertainty_um": 1.6 });

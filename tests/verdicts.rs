@@ -203,7 +203,8 @@ fn a_fold_that_fails_is_reported_and_fails_the_verdict() {
     let groups: Vec<String> = {
         let problem = &fit(&whole, "fit-S3").problem;
         let set = problem.sets.iter().find(|set| set.name == "table").expect("the table");
-        let mut labels = set.info().layout.data.labels("group").expect("groups").to_vec();
+        let labels = set.info().layout.data.labels("group").expect("groups");
+        let mut labels: Vec<String> = labels.iter().map(|label| label.to_string()).collect();
         labels.sort();
         labels.dedup();
         labels

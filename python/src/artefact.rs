@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, Build, ColumnHeader, Constructor, Contact, Dataset, Equations, Error, InputFile, KinematicModel, Layout,
-    Observations, ObservationsInfo, Origin, Parameter, Plugin, Provider, Quantity, RankPoint, Result, RowBatch,
-    RowIndex, SettingsError, Target, Unit, Values, plain_naming, pose_columns, positive,
+    Artefact, Build, ColumnHeader, Constructor, Contact, Dataset, Equations, Error, InputFile, KinematicModel,
+    LabelText, Layout, Observations, ObservationsInfo, Origin, Parameter, Plugin, Provider, Quantity, RankPoint,
+    Result, RowBatch, RowIndex, SettingsError, Target, Unit, Values, plain_naming, pose_columns, positive,
 };
 use pyo3::buffer::PyBuffer;
 use pyo3::exceptions::PyValueError;
@@ -111,7 +111,8 @@ impl Artefact for InPython {
         Ok(())
     }
 
-    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+    fn observe(&self, data: &Arc<Dataset>, model: &Arc<dyn KinematicModel>) -> Result<Arc<dyn Observations>> {
+        let model = model.as_ref();
         let mut layout = Layout::new(data, model, &[&plain_naming])?;
         for row in data.row_indices() {
             layout.push(model, row, &vec![self.standard_uncertainty; self.definition.equations])?;
@@ -152,7 +153,10 @@ impl InPython {
                     let numbers: Vec<f64> = numbers.iter().map(|number| number / factor).collect();
                     columns.set_item(&column.header.header, bytes_of(py, &numbers)?)?;
                 }
-                Values::Labels(labels) => columns.set_item(&column.header.header, labels)?,
+                Values::Labels(labels) => {
+                    let labels: Vec<&str> = labels.iter().map(LabelText::as_str).collect();
+                    columns.set_item(&column.header.header, labels)?;
+                }
             }
         }
         let settings = py.import("json")?.call_method1("loads", (self.settings.to_string(),))?;

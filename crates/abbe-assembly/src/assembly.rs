@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use abbe_core::{
-    Column, ColumnHeader, Context, DataRow, Dataset, Error, InputFile, Label, PathItem, Quantity, Result,
+    Column, ColumnHeader, Context, DataRow, Dataset, Error, InputFile, Label, LabelText, PathItem, Quantity, Result,
     SettingsError, Values,
 };
 use abbe_table::Layout;
@@ -193,8 +193,8 @@ impl Assembly {
     fn tell_unknown(&self, data: &Dataset) -> Result<()> {
         for (setting, filters, _) in self.filters() {
             for (name, listed) in filters {
-                let there: BTreeSet<&String> = abbe_table::labels(data, name)?.iter().collect();
-                for label in listed.iter().filter(|label| !there.contains(&label.0)) {
+                let there: BTreeSet<&str> = abbe_table::labels(data, name)?.iter().map(LabelText::as_str).collect();
+                for label in listed.iter().filter(|label| !there.contains(label.0.as_str())) {
                     tracing::warn!("`{setting}` names {name} {}, which is in no row of these data", label.0);
                 }
             }
@@ -214,9 +214,9 @@ impl Assembly {
         for (_, filters, wanted) in self.filters() {
             for (name, listed) in filters {
                 let labels = abbe_table::labels(data, name)?;
-                let listed: BTreeSet<&String> = listed.iter().map(|label| &label.0).collect();
+                let listed: BTreeSet<&str> = listed.iter().map(|label| label.0.as_str()).collect();
                 for (stays, label) in stays.iter_mut().zip(labels) {
-                    *stays &= listed.contains(label) == wanted;
+                    *stays &= listed.contains(label.as_str()) == wanted;
                 }
             }
         }
@@ -261,7 +261,7 @@ impl Assembly {
             }
             let values = match constant {
                 Constant::Number(number) => Values::Numbers(vec![*number; data.rows()]),
-                Constant::Label(label) => Values::Labels(vec![label.clone(); data.rows()]),
+                Constant::Label(label) => Values::Labels(vec![label.into(); data.rows()]),
             };
             data.columns.push(Column { header, values });
         }
@@ -367,7 +367,7 @@ fn add_file_column(data: &mut Dataset) -> Result<bool> {
     if data.column("file").is_some() {
         return Ok(false);
     }
-    let stems: Vec<String> = data.files.iter().map(|path| stem(path)).collect();
+    let stems: Vec<LabelText> = data.files.iter().map(|path| stem(path).into()).collect();
     let mut first: BTreeMap<&str, usize> = BTreeMap::new();
     for (index, (path, stem)) in data.files.iter().zip(&stems).enumerate() {
         if let Some(twin) = first.insert(stem, index) {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Column, DataRow, Dataset, Quantity, Result, Values};
+use abbe_core::{Column, DataRow, Dataset, LabelText, Quantity, Result, Values};
 use abbe_estimation::repeated_in_words;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -99,7 +99,7 @@ const FAR: f64 = 0.02;
 const FARTHER: f64 = 10.0;
 
 /// The series whose values are far from those of the others, with the median of the distances.
-fn deviating_series<'a>(values: &[f64], series: &'a [String], groups: &[Vec<DataRow>]) -> Vec<(&'a str, f64)> {
+fn deviating_series<'a>(values: &[f64], series: &'a [LabelText], groups: &[Vec<DataRow>]) -> Vec<(&'a str, f64)> {
     let mut away: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     for rows in groups.iter().filter(|rows| rows.len() > 2) {
         let middle = median(rows.iter().map(|&row| values[row]).collect());
@@ -147,7 +147,7 @@ mod tests {
                     rows.push(DataRow(values.len()));
                     let scatter = 1e-3 * ((index * 7 + group * 5) % 4) as f64;
                     values.push(100.0 * group as f64 + scatter + if name == "c" { offset } else { 0.0 });
-                    series.push(name.clone());
+                    series.push(LabelText::from(name.as_str()));
                 }
             }
             let found = deviating_series(&values, &series, &groups);

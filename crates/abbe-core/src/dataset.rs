@@ -29,6 +29,16 @@ impl ColumnHeader {
     }
 }
 
+/// The text of a label in a data set: a short one needs no memory of its own.
+///
+/// It is read like a `str`, and is made of one by `into()`.
+///
+/// ```
+/// let label = abbe_core::LabelText::from("ball 12");
+/// assert_eq!(label.as_str(), "ball 12");
+/// ```
+pub type LabelText = smol_str::SmolStr;
+
 /// The cells of a column.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -40,7 +50,7 @@ pub enum Values {
         Vec<f64>,
     ),
     /// Identifiers.
-    Labels(Vec<String>),
+    Labels(#[schemars(with = "Vec<String>")] Vec<LabelText>),
 }
 
 /// A column: header and cells.
@@ -221,7 +231,7 @@ impl Dataset {
     }
 
     /// The labels of a column.
-    pub fn labels(&self, name: &str) -> Option<&[String]> {
+    pub fn labels(&self, name: &str) -> Option<&[LabelText]> {
         match &self.column(name)?.values {
             Values::Labels(labels) => Some(labels),
             Values::Numbers(_) => None,
@@ -229,7 +239,7 @@ impl Dataset {
     }
 
     /// The labels of a column that has to be there.
-    pub fn required_labels(&self, name: &str) -> Result<&[String]> {
+    pub fn required_labels(&self, name: &str) -> Result<&[LabelText]> {
         self.labels(name).ok_or_else(|| missing_column(self.files.first(), name, &self.headers()))
     }
 
@@ -298,7 +308,7 @@ mod tests {
     fn rows(files: [&str; 2], first: f64, turned: bool) -> Dataset {
         let mut columns = vec![
             column("X_mm", Values::Numbers(vec![first, first + 1.0])),
-            column("feature", Values::Labels(vec![format!("{first}"), "b".to_owned()])),
+            column("feature", Values::Labels(vec![format!("{first}").into(), "b".into()])),
         ];
         if turned {
             columns.reverse();

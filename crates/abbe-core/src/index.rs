@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::dataset::RowOrigin;
+use crate::dataset::{LabelText, RowOrigin};
 use crate::layout::Row;
 use crate::problem::ObservationSet;
 
@@ -136,12 +136,12 @@ index! {
 
 index! {
     /// A row of some observations: an item of [`Layout::rows`](crate::Layout::rows). Other observations have other rows.
-    RowIndex: Row, bool, usize
+    RowIndex: Row, bool, usize, Vector3<f64>
 }
 
 index! {
     /// A row of a data set: an item of [`Dataset::origins`](crate::Dataset::origins), a cell of every column.
-    DataRow: RowOrigin, f64, String, bool, [f64; 3], Vector3<f64>
+    DataRow: RowOrigin, f64, String, LabelText, bool, [f64; 3], Vector3<f64>
 }
 
 index! {

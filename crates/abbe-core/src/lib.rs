@@ -24,7 +24,7 @@ mod stage;
 mod table;
 mod uncertainty;
 
-pub use dataset::{Column, ColumnHeader, Dataset, RowOrigin, StatedTip, Values};
+pub use dataset::{Column, ColumnHeader, Dataset, LabelText, RowOrigin, StatedTip, Values};
 pub use factored::FactoredPoses;
 pub use index::{DataRow, EquationIndex, IndexRange, LayoutEquation, ListedBy, PoseIndex, RowIndex, SetIndex};
 pub use layout::{Layout, Row};

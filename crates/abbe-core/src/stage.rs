@@ -106,11 +106,15 @@ pub trait Artefact: Send + Sync {
     fn check(&self, headers: &[ColumnHeader], file: Option<&PathBuf>, model: &dyn KinematicModel) -> Result<()>;
 
     /// Makes the observations. Rows of features that this artefact does not have are skipped; other artefacts may use them.
-    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>>;
+    fn observe(&self, data: &Arc<Dataset>, model: &Arc<dyn KinematicModel>) -> Result<Arc<dyn Observations>>;
 
     /// The observations of some rows of a data set, as [`observe`](Self::observe); none if no row is one of this artefact. It is asked
     /// only where [rows are independent](Self::rows_are_independent). Default: it fails without rows.
-    fn observe_some(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Option<Arc<dyn Observations>>> {
+    fn observe_some(
+        &self,
+        data: &Arc<Dataset>,
+        model: &Arc<dyn KinematicModel>,
+    ) -> Result<Option<Arc<dyn Observations>>> {
         self.observe(data, model).map(Some)
     }
 

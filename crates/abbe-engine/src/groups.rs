@@ -163,7 +163,10 @@ fn copied(problem: &Problem) -> Vec<String> {
 /// The label of every row.
 fn labels_of(data: &Dataset, by: &str) -> Result<Vec<String>> {
     if by != FILE {
-        return data.required_labels(by).map(<[String]>::to_vec).map_err(|error| error.setting("per"));
+        return data
+            .required_labels(by)
+            .map(|labels| labels.iter().map(|label| label.to_string()).collect())
+            .map_err(|error| error.setting("per"));
     }
     let name = |file: usize| {
         let stem = data.files[file].file_stem().map(|stem| stem.to_string_lossy().into_owned());

@@ -8,7 +8,7 @@ use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::PathBuf;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-use abbe_core::{Batch, Batches, Column, ColumnHeader, Dataset, Result, RowOrigin, StatedTip, Values};
+use abbe_core::{Batch, Batches, Column, ColumnHeader, Dataset, LabelText, Result, RowOrigin, StatedTip, Values};
 use serde::{Deserialize, Serialize};
 
 use crate::batches::Sources;
@@ -198,7 +198,7 @@ impl Cells {
         match values {
             Values::Numbers(numbers) => Self::Numbers(numbers.len()),
             Values::Labels(labels) => {
-                Self::Labels { text: labels.concat(), lengths: labels.iter().map(String::len).collect() }
+                Self::Labels { text: labels.concat(), lengths: labels.iter().map(|label| label.len()).collect() }
             }
         }
     }
@@ -215,9 +215,9 @@ impl Cells {
                 let label = |length: usize| {
                     let (own, others) = rest.split_at_checked(length)?;
                     rest = others;
-                    Some(own.to_owned())
+                    Some(own.into())
                 };
-                let labels: Option<Vec<String>> = lengths.into_iter().map(label).collect();
+                let labels: Option<Vec<LabelText>> = lengths.into_iter().map(label).collect();
                 labels.filter(|labels| labels.len() == count).map(Values::Labels)
             }
         }
@@ -244,7 +244,7 @@ mod tests {
             let column = |header: &str, values| Column { header: ColumnHeader::parse(header), values };
             let columns = vec![
                 column("X_mm", Values::Numbers(vec![0.1 + number, -0.0, f64::NAN, f64::MIN_POSITIVE])),
-                column("feature", Values::Labels(["a", "µ", "a", ""].map(str::to_owned).to_vec())),
+                column("feature", Values::Labels(["a", "µ", "a", ""].map(LabelText::from).to_vec())),
             ];
             let origin = |row| RowOrigin { file: row % 2, line: 100 * batch + row, row: 99 * batch + row };
             let data = Dataset {

@@ -65,7 +65,7 @@ impl Prepared {
                 let broken = laws::check_observations(&at, index).unwrap_or_else(|error| vec![error.to_string()]);
                 found.broken.extend(broken.into_iter().map(|law| format!("{}, {}: {law}", stage.name, set.name)));
                 let (ingest, artefact) = self.artefact(&set.name)?;
-                let alone = laws::check_independence(artefact, &data[ingest], problem.model.as_ref());
+                let alone = laws::check_independence(artefact, &data[ingest], &problem.model);
                 let broken = alone.unwrap_or_else(|error| vec![format!("it fails with half of its rows: {error}")]);
                 found.broken.extend(broken.into_iter().map(|law| format!("{}: {law}", set.name)));
             }

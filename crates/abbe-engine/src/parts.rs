@@ -292,8 +292,8 @@ impl Prepared {
                 taken.entry(ingest.to_owned()).or_default();
             }
             let observations = match rows {
-                Rows::All => artefact.observe(&data[ingest], model.as_ref()).map(Some),
-                Rows::Some => artefact.observe_some(&data[ingest], model.as_ref()),
+                Rows::All => artefact.observe(&data[ingest], &model).map(Some),
+                Rows::Some => artefact.observe_some(&data[ingest], &model),
             };
             let Some(observations) = observations.map_err(|error| error.stage(name))? else { continue };
             let set = self.set(name, observations, &model, data, Wanted::Seen)?;

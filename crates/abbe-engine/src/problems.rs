@@ -146,7 +146,7 @@ impl Prepared {
         for name in names {
             let (ingest, artefact) = self.artefact(name)?;
             check_tips(&data[ingest], model.as_ref()).map_err(|error| error.stage(ingest))?;
-            let observations = artefact.observe(&data[ingest], model.as_ref()).map_err(|error| error.stage(name))?;
+            let observations = artefact.observe(&data[ingest], model).map_err(|error| error.stage(name))?;
             let set = self.set(name, observations, model, data, wanted)?;
             take(taken, ingest, &set);
             sets.push(set);
@@ -164,7 +164,7 @@ impl Prepared {
         wanted: Wanted,
     ) -> Result<ObservationSet> {
         let (_, artefact) = self.artefact(name)?;
-        let repeats = self.repeats(name)?.map(|repeats| artefact.observe(&data[repeats], model.as_ref()));
+        let repeats = self.repeats(name)?.map(|repeats| artefact.observe(&data[repeats], model));
         let repeats = repeats.transpose().map_err(|error| error.stage(name))?;
         let set = self.rows[name].set(name, observations, repeats, model, wanted).map_err(|error| error.stage(name))?;
         check_travel(&set, model.as_ref()).and_then(|()| check_stated(&set)).map_err(|error| error.stage(name))?;

@@ -216,7 +216,7 @@ impl Prepared {
         let mut claimed = Claimed::default();
         let (mut sets, mut combined) = (Vec::new(), Vec::new());
         for (artefact, from) in sources {
-            let observations = self.artefacts[&artefact.name].observe(&data[from], model.as_ref());
+            let observations = self.artefacts[&artefact.name].observe(&data[from], &model);
             let observations = self.located(artefact, observations)?;
             if let Contact::NotSimulated(why) = &observations.info().contact {
                 let error = Error::usage(format!("the artefact `{}` cannot be simulated yet: {why}", artefact.plugin))
@@ -241,7 +241,7 @@ impl Prepared {
         for (artefact, from) in self.judged(machine)? {
             // Data that these artefacts cannot use are not changed; they are listed in `not_simulated`.
             let data = self.data(from)?;
-            let Ok(observations) = self.artefacts[artefact].observe(&data, model.as_ref()) else { continue };
+            let Ok(observations) = self.artefacts[artefact].observe(&data, &model) else { continue };
             let measures = observations.info().layout.merged.is_empty();
             if measures && !matches!(observations.info().contact, Contact::NotSimulated(_)) {
                 let set = claimed.unclaimed(artefact, observations);

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{Dataset, PathItem, Quantity, SettingsError, Values};
+use abbe_core::{Dataset, LabelText, PathItem, Quantity, SettingsError, Values};
 use abbe_thermal::{Counting, Hold, Reference, SensorLog};
 
 /// The column of times.
@@ -135,7 +135,7 @@ pub(crate) fn check_series(
             let message = format!("the rows{file} have no column of labels `{series}`, by which their log is found");
             return Err(SettingsError::new("series", message));
         };
-        if let Some(label) = labels.iter().find(|label| !logs.contains_key(*label)) {
+        if let Some(label) = labels.iter().find(|label| !logs.contains_key(label.as_str())) {
             let message = format!("no log has rows with {series} {label}, and the rows{file} have some");
             return Err(SettingsError::new("series", message).suggest(label, logs.keys().map(String::as_str)));
         }
@@ -184,13 +184,13 @@ pub(crate) fn by_series(
     for log in data.iter().filter(fits) {
         let Some(labels) = log.labels(series) else { continue };
         let all = kept(log, columns);
-        let own: BTreeSet<&String> = labels.iter().collect();
+        let own: BTreeSet<&LabelText> = labels.iter().collect();
         for label in own {
             let of_label = |values: &Vec<f64>| {
                 values.iter().zip(labels).filter(|(_, own)| *own == label).map(|(value, _)| *value).collect()
             };
             let part = all.iter().map(|(header, values)| (header.clone(), of_label(values))).collect();
-            if found.insert(label.clone(), part).is_some() {
+            if found.insert(label.to_string(), part).is_some() {
                 let message = format!("two logs have rows with {series} {label}");
                 return Err(SettingsError::new("series", message));
             }

@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use abbe_core::{
-    Axis, AxisKind, Branch, Contact, Owner, ParameterRole, ProbeTerm, Problem, Quantity, RowIndex, SetIndex, StatusRole,
+    Axis, AxisKind, Branch, Contact, LabelText, Owner, ParameterRole, ProbeTerm, Problem, Quantity, RowIndex, SetIndex,
+    StatusRole,
 };
 
 use crate::aliasing::aliased;
@@ -56,7 +57,7 @@ fn styli(problem: &Problem) -> Vec<String> {
     let several = problem.sets.iter().filter_map(|set| {
         let layout = &set.info().layout;
         let labels = layout.data.labels("stylus")?;
-        let used: BTreeSet<&String> =
+        let used: BTreeSet<&LabelText> =
             set.rows.iter().filter_map(|&row| Some(&labels[layout.rows[row].data_row?])).collect();
         (used.len() > 1).then(|| {
             format!(

@@ -1,6 +1,6 @@
 //! The scatter of repeats, pooled over groups (Rahman 2016, section 5.6).
 
-use abbe_core::{DataRow, Error, Layout, PooledRepeatability, Result, RowIndex};
+use abbe_core::{DataRow, Error, LabelText, Layout, PooledRepeatability, Result, RowIndex};
 
 use crate::row_settings::PooledRepeats;
 
@@ -8,12 +8,12 @@ use crate::row_settings::PooledRepeats;
 const REPETITION: [&str; 2] = ["day", "cycle"];
 
 /// A repetition: its label and its rows.
-type Repetition = (Vec<String>, Vec<RowIndex>);
+type Repetition = (Vec<LabelText>, Vec<RowIndex>);
 
 /// The rows of a layout by repetition, in the order in which repetitions appear.
 fn repetitions(layout: &Layout) -> Result<Vec<Repetition>> {
     let data = &layout.data;
-    let columns: Vec<&[String]> = REPETITION.iter().filter_map(|name| data.labels(name)).collect();
+    let columns: Vec<&[LabelText]> = REPETITION.iter().filter_map(|name| data.labels(name)).collect();
     if columns.is_empty() {
         let error = Error::data("the repeats have neither a column `cycle` nor a column `day`").setting("pooled");
         return Err(error);
@@ -21,7 +21,7 @@ fn repetitions(layout: &Layout) -> Result<Vec<Repetition>> {
     let mut all: Vec<Repetition> = Vec::new();
     for (index, row) in RowIndex::enumerate(&layout.rows) {
         let Some(data_row) = row.data_row else { continue };
-        let label: Vec<String> = columns.iter().map(|column| column[data_row].clone()).collect();
+        let label: Vec<LabelText> = columns.iter().map(|column| column[data_row].clone()).collect();
         match all.iter_mut().find(|(other, _)| *other == label) {
             Some((_, rows)) => rows.push(index),
             None => all.push((label, vec![index])),

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    CovarianceBlock, DataRow, Dataset, EquationUncertainty, Error, Label, Layout, LayoutEquation, Names, Observations,
-    PathItem, Quantity, Result, Row, RowIndex, SettingsError, Values, positive,
+    CovarianceBlock, DataRow, Dataset, EquationUncertainty, Error, Label, LabelText, Layout, LayoutEquation, Names,
+    Observations, PathItem, Quantity, Result, Row, RowIndex, SettingsError, Values, positive,
 };
 use nalgebra::DMatrix;
 
@@ -250,10 +250,10 @@ fn set_standard(rows: &RowUncertainty, layout: &Layout, quantities: &[Quantity],
             stated.require(&format!("`{}`", stated.setting("standard")), quantities)?;
         }
         if let Some(labels) = &labels
-            && let Some(label) = stated.standard.keys().find(|label| !labels.contains(label))
+            && let Some(label) = stated.standard.keys().find(|label| !labels.iter().any(|own| own == *label))
         {
             let message = format!("`{}` names `{label}`, which is in no row", stated.setting("standard"));
-            let error = Error::data(message).suggest(label, labels.iter().map(String::as_str));
+            let error = Error::data(message).suggest(label, labels.iter().map(LabelText::as_str));
             return Err(error.setting("uncertainty"));
         }
         for row in &layout.rows {
@@ -268,7 +268,7 @@ fn set_standard(rows: &RowUncertainty, layout: &Layout, quantities: &[Quantity],
                 }
                 set(value);
             }
-            if let Some(value) = labels.as_ref().and_then(|labels| stated.standard.get(&labels[data_row])) {
+            if let Some(value) = labels.as_ref().and_then(|labels| stated.standard.get(labels[data_row].as_str())) {
                 set(value * stated.factor);
             }
             if !stated.directions.is_empty() {
@@ -342,7 +342,7 @@ impl Part {
     }
 }
 
-fn labels<'a>(data: &'a Dataset, name: &str) -> Result<&'a [String]> {
+fn labels<'a>(data: &'a Dataset, name: &str) -> Result<&'a [LabelText]> {
     data.required_labels(name).map_err(|error| error.setting("uncertainty"))
 }
 
@@ -406,7 +406,7 @@ fn full(layout: &Layout, quantities: &[Quantity], table: &Dataset) -> Result<Equ
         let Some(data_row) = row.data_row else { continue };
         for equation in 0..row.equations {
             let label = match row.equations {
-                1 => of_rows[data_row].clone(),
+                1 => of_rows[data_row].to_string(),
                 _ => format!("{}.{}", of_rows[data_row], equation + 1),
             };
             let (line, column) =

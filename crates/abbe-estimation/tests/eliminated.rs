@@ -42,7 +42,7 @@ fn problem(folder: &Path, machine: &Value, artefacts: &[(&str, &str, Value, &str
     let sets = artefacts.iter().zip(&data).map(|((stage, name, settings, _), data)| {
         let observations = plugin(Kind::Artefact, name, |plugin| match &plugin.build {
             Build::Artefact(constructor) => {
-                Some(constructor.build(settings, &context).unwrap().observe(data, model.as_ref()).unwrap())
+                Some(constructor.build(settings, &context).unwrap().observe(data, &model).unwrap())
             }
             _ => None,
         });

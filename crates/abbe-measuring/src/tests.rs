@@ -60,7 +60,7 @@ impl KinematicModel for Cartesian {
 fn table(places: &[[f64; 2]], normal: [f64; 3]) -> Dataset {
     let labels = |name: &str, make: &dyn Fn(usize) -> String| Column {
         header: ColumnHeader::parse(name),
-        values: Values::Labels((0..places.len()).map(make).collect()),
+        values: Values::Labels((0..places.len()).map(|row| make(row).into()).collect()),
     };
     let numbers = |name: &str, make: &dyn Fn(usize) -> f64| Column {
         header: ColumnHeader::parse(name),

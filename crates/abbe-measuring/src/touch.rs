@@ -79,7 +79,7 @@ impl Touches {
             };
             list.push(Touch {
                 number: index + 1,
-                feature: features[*row].clone(),
+                feature: features[*row].to_string(),
                 status: status.clone(),
                 tip: tips[index],
                 normal: -Vector3::from(approach).normalize(),
@@ -116,7 +116,7 @@ impl Touches {
             }
             list.push(Touch {
                 number,
-                feature: features[row].clone(),
+                feature: features[row].to_string(),
                 status: status.clone(),
                 tip: tips[index],
                 normal: normal.normalize(),
@@ -272,7 +272,7 @@ fn labels(data: &Dataset, rows: &[DataRow]) -> Vec<(String, Vec<String>)> {
     let columns = data.columns.iter().filter(|column| !own.contains(&column.header.name.as_str()));
     let labels = columns.filter_map(|column| match &column.values {
         Values::Labels(labels) => {
-            Some((column.header.header.clone(), rows.iter().map(|row| labels[*row].clone()).collect()))
+            Some((column.header.header.clone(), rows.iter().map(|row| labels[*row].to_string()).collect()))
         }
         Values::Numbers(_) => None,
     });

@@ -49,7 +49,7 @@ pub fn candidates(problem: &Problem, wanted: &Planning) -> Result<Vec<Candidate>
             continue;
         }
         let Some(data_row) = layout.rows[row].data_row else { continue };
-        let label = labels.map_or_else(|| own_label(data, data_row), |labels| labels[data_row].clone());
+        let label = labels.map_or_else(|| own_label(data, data_row), |labels| labels[data_row].to_string());
         let place = *places.entry(label.clone()).or_insert_with(|| {
             let (rows, equations) = (Vec::new(), Vec::new());
             found.push(Candidate { label, rows, equations, duration: 0.0, required: 0, forbidden: false });

@@ -185,7 +185,7 @@ fn of_artefact(
         }
         ABBE_OBSERVE => {
             let data = Arc::new(read::<Dataset>(text)?);
-            let observations = stage.observe(&data, machine(objects)?.as_ref())?;
+            let observations = stage.observe(&data, &machine(objects)?)?;
             Ok((write(())?, vec![Arc::new(Served::Observations(observations, Some(data)))]))
         }
         ABBE_TARGETS => write(stage.targets(read(text)?)?).map(alone),

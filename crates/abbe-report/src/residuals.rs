@@ -4,7 +4,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{AxisKind, ColumnHeader, Dataset, Error, Fit, Quantity, Result, Values};
+use abbe_core::{AxisKind, ColumnHeader, Dataset, Error, Fit, LabelText, Quantity, Result, Values};
 use abbe_estimation::residual_rows;
 
 /// Residuals in the order of the equations.
@@ -90,7 +90,7 @@ impl Residuals {
         let mut found = Self { labels: label_columns(fit), axes, rows: Vec::new() };
         let factor = |kind| if kind == AxisKind::Linear { 1.0 } else { 180.0 / std::f64::consts::PI };
         let factors: Vec<f64> = info.axes.iter().map(|axis| factor(axis.kind)).collect();
-        let columns: Vec<Vec<Option<&[String]>>> =
+        let columns: Vec<Vec<Option<&[LabelText]>>> =
             fit.problem.sets.iter().map(|set| columns_of(&set.info().layout.data, &found.labels)).collect();
         for of_row in residual_rows(fit)? {
             let set = &fit.problem.sets[of_row.set];
@@ -110,7 +110,7 @@ impl Residuals {
                 direction: of_row.direction,
                 labels: columns[of_row.set.0]
                     .iter()
-                    .map(|column| column.map_or(String::new(), |cells| cells[of_row.data_row].clone()))
+                    .map(|column| column.map_or(String::new(), |cells| cells[of_row.data_row].to_string()))
                     .collect(),
                 commands: of_row.commands.iter().zip(&factors).map(|(command, factor)| command * factor).collect(),
             });
@@ -227,7 +227,7 @@ fn label_columns(fit: &Fit) -> Vec<String> {
         for column in &set.info().layout.data.columns {
             let Values::Labels(labels) = &column.values else { continue };
             let name = &column.header.name;
-            let distinct: BTreeSet<&String> = labels.iter().take(100_000).collect();
+            let distinct: BTreeSet<&LabelText> = labels.iter().take(100_000).collect();
             let groups = distinct.len() <= MOST_LABELS && (distinct.len() < labels.len() || labels.len() == 1);
             // The file is a column of the table already.
             if groups && !FIXED.contains(&name.as_str()) && seen.insert(name) {
@@ -239,8 +239,8 @@ fn label_columns(fit: &Fit) -> Vec<String> {
 }
 
 /// The columns of labels of these names; none for one that the data do not have.
-fn columns_of<'a>(data: &'a Dataset, names: &[String]) -> Vec<Option<&'a [String]>> {
-    let mut columns: BTreeMap<&str, &[String]> = BTreeMap::new();
+fn columns_of<'a>(data: &'a Dataset, names: &[String]) -> Vec<Option<&'a [LabelText]>> {
+    let mut columns: BTreeMap<&str, &[LabelText]> = BTreeMap::new();
     for column in &data.columns {
         if let Values::Labels(labels) = &column.values {
             columns.entry(&column.header.name).or_insert(labels);

@@ -45,7 +45,7 @@ impl<'a> Listed<'a> {
 fn name(set: &ObservationSet, data_row: DataRow, by_touch: bool) -> Option<String> {
     let data = &set.info().layout.data;
     match by_touch {
-        true => Some(data.labels("touch")?[data_row].clone()),
+        true => Some(data.labels("touch")?[data_row].to_string()),
         false => Some(data.origins[data_row].row.to_string()),
     }
 }

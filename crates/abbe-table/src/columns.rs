@@ -3,7 +3,9 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use abbe_core::{Cell, Column, ColumnCells, ColumnHeader, Dataset, Error, Field, Quantity, Result, RowOrigin, Values};
+use abbe_core::{
+    Cell, Column, ColumnCells, ColumnHeader, Dataset, Error, Field, LabelText, Quantity, Result, RowOrigin, Values,
+};
 
 use crate::empty_column;
 use crate::layout::{Layout, Unit};
@@ -342,12 +344,12 @@ fn help_held(message: String, number: f64) -> Error {
     }
 }
 
-fn label(header: &str, cell: Cell<'_>) -> Result<String> {
+fn label(header: &str, cell: Cell<'_>) -> Result<LabelText> {
     let text = match cell {
-        Cell::Missing => String::new(),
-        Cell::Number(number) => number.to_string(),
-        Cell::Whole(number) => number.to_string(),
-        Cell::Text(text) => text.trim().to_owned(),
+        Cell::Missing => LabelText::default(),
+        Cell::Number(number) => number.to_string().into(),
+        Cell::Whole(number) => number.to_string().into(),
+        Cell::Text(text) => text.trim().into(),
     };
     if text.len() > LONGEST_CELL {
         let length = text.len().div_ceil(1024);

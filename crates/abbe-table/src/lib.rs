@@ -24,7 +24,7 @@ use std::collections::BTreeMap;
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, Quantity, Result, Values};
+use abbe_core::{Column, ColumnHeader, DataRow, Dataset, Error, LabelText, Quantity, Result, Values};
 
 pub use abbe_core::ranges::TEMPERATURES;
 pub use batches::FileInBatches;
@@ -118,7 +118,7 @@ pub fn empty_column(header: ColumnHeader) -> Column {
 }
 
 /// The labels of a column (named without unit) that has to be there.
-pub fn labels<'a>(data: &'a Dataset, name: &str) -> Result<&'a [String]> {
+pub fn labels<'a>(data: &'a Dataset, name: &str) -> Result<&'a [LabelText]> {
     match data.column(name) {
         Some(Column { header, values: Values::Numbers(_) }) => {
             Err(wrong_column(data, format!("the column `{}` holds numbers; labels were expected", header.header))

@@ -162,7 +162,7 @@ impl Rows<'_> {
             for (column, taken) in columns.iter_mut().zip(taken) {
                 match &mut column.values {
                     Values::Numbers(numbers) => numbers.extend(number.next()),
-                    Values::Labels(labels) => labels.push(records.cell(taken)?.trim().to_owned()),
+                    Values::Labels(labels) => labels.push(records.cell(taken)?.trim().into()),
                 }
             }
             origins.push(RowOrigin { file: 0, line: records.line, row });

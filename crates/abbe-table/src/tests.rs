@@ -125,7 +125,7 @@ fn units_places_and_labels_are_read() {
     let bytes = b"\xef\xbb\xbf# made by hand\r\n\r\nfeature , X_mm,d_um,C_deg,dir_X\r\n\
         07, +1.5 ,2,180,-1\r\n  \r\n# a comment, \"open\r\n\"a,b\",1e3,.5,-90,1";
     let data = parsed(bytes).unwrap();
-    assert_eq!(data.labels("feature"), Some(&["07".to_owned(), "a,b".to_owned()][..]));
+    assert_eq!(data.labels("feature"), Some(&["07".into(), "a,b".into()][..]));
     assert_eq!(data.numbers("X"), Some(&[1.5, 1000.0][..]));
     assert_eq!(data.numbers("d"), Some(&[0.002, 0.0005][..]));
     assert_eq!(data.numbers("C"), Some(&[180f64.to_radians(), -90f64.to_radians()][..]));

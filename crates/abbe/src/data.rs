@@ -330,7 +330,7 @@ fn of_stage(stage: &Understood) -> Result<String> {
             }
             Values::Labels(all) => {
                 let mut column = Found::default();
-                all.iter().for_each(|label| *column.texts.entry(label.clone()).or_default() += 1);
+                all.iter().for_each(|label| *column.texts.entry(label.to_string()).or_default() += 1);
                 (labels(&column), String::new(), String::new())
             }
         };

@@ -383,7 +383,7 @@ mod tests {
             header: ColumnHeader::parse(header),
             values: Values::Numbers(rows.iter().map(|row| row[place]).collect()),
         };
-        let ways = Values::Labels(rows.iter().map(|row| row[4].to_string()).collect());
+        let ways = Values::Labels(rows.iter().map(|row| row[4].to_string().into()).collect());
         Dataset {
             columns: vec![
                 numbers("angle_deg", 0),

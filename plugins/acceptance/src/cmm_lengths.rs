@@ -113,7 +113,7 @@ fn measured(data: &Dataset) -> Result<Vec<Measured>> {
         let message = format!("{} mm was measured for a length of {} mm", values[row], reference[row]);
         return Err(data.error_at(DataRow(row), message).help("is the unit of both the same?"));
     }
-    let of = |row: usize| Measured { line: lines[row].clone(), reference: reference[row], measured: values[row] };
+    let of = |row: usize| Measured { line: lines[row].to_string(), reference: reference[row], measured: values[row] };
     Ok((0..values.len()).map(of).collect())
 }
 

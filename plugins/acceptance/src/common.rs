@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::{PI, TAU};
 
 use abbe_core::{
-    DataRow, Dataset, Error, Figure, Findings, Fit, Limit, PathItem, Quantity, Result, SettingsError, Validate,
+    DataRow, Dataset, Error, Figure, Findings, Fit, LabelText, Limit, PathItem, Quantity, Result, SettingsError,
+    Validate,
 };
 use abbe_numerics::{Channel, instrument_faults, repeats_are_copies};
 
@@ -124,7 +125,7 @@ pub fn finite<'a>(data: &'a Dataset, name: &str, quantity: Quantity) -> Result<&
 /// Whether each row is in the positive direction, by the column `direction` with 1 and -1.
 pub fn directions(data: &Dataset) -> Result<Vec<bool>> {
     let labels = abbe_table::labels(data, "direction")?;
-    let of = |(row, label): (usize, &String)| match label.trim().parse::<f64>() {
+    let of = |(row, label): (usize, &LabelText)| match label.trim().parse::<f64>() {
         Ok(1.0) => Ok(true),
         Ok(-1.0) => Ok(false),
         _ => {

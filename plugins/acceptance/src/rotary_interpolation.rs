@@ -370,7 +370,7 @@ mod tests {
         let column = |(place, header): (usize, &&str)| {
             let numbers = || rows.iter().map(|row| row[place]);
             let values = match place {
-                0 => Values::Labels(numbers().map(|way| way.to_string()).collect()),
+                0 => Values::Labels(numbers().map(|way| way.to_string().into()).collect()),
                 _ => Values::Numbers(numbers().collect()),
             };
             Column { header: ColumnHeader::parse(header), values }

@@ -88,7 +88,7 @@ impl Readings {
             }
             if let Some(run) = runs.map(|runs| &runs[row]) {
                 let known = of_runs.iter().position(|(name, _)| name == run).unwrap_or_else(|| {
-                    of_runs.push((run.clone(), BTreeMap::new()));
+                    of_runs.push((run.to_string(), BTreeMap::new()));
                     of_runs.len() - 1
                 });
                 of_runs[known].1.insert((place, up), readings[row] * factor);

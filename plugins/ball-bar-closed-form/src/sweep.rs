@@ -112,7 +112,7 @@ fn labelled(
         let sample = Sample { row, equation };
         match tests.iter_mut().find(|(name, _)| *name == labels[data_row]) {
             Some((_, rows)) => rows.push(sample),
-            None => tests.push((labels[data_row].clone(), vec![sample])),
+            None => tests.push((labels[data_row].to_string(), vec![sample])),
         }
     }
     Ok(tests)

@@ -38,7 +38,7 @@ fn problem(folder: &Path, chain: &str, rows: &str, parameters: &[&str]) -> Probl
     let settings = json!({ "nominal": "balls.csv", "bars_mm": { "100": 100.0 }, "standard_uncertainty_um": 0.5 });
     let Build::Artefact(constructor) = &registry.find(Kind::Artefact, "ball-bar").unwrap().build else { panic!() };
     let data = Arc::new(abbe_table::read(&folder.join("rows.csv")).unwrap());
-    let observations = constructor.build(&settings, &context).unwrap().observe(&data, model.as_ref()).unwrap();
+    let observations = constructor.build(&settings, &context).unwrap().observe(&data, &model).unwrap();
     let parameters: Vec<String> = parameters.iter().map(|name| (*name).to_owned()).collect();
     Problem::new("fit", "serial-chain", model, vec![ObservationSet::new("bar", observations)], &parameters).unwrap()
 }

@@ -204,13 +204,13 @@ impl Named {
                 return Err(self.wrong(name, error));
             }
             data.columns
-                .push(Column { header: ColumnHeader::parse(name), values: Values::Labels(vec![label.clone(); rows]) });
+                .push(Column { header: ColumnHeader::parse(name), values: Values::Labels(vec![label.into(); rows]) });
         }
         if data.column("test").is_some() {
             let error = Error::usage("there is a column `test`, which is the name of the test in the data set");
             return Err(error.in_file(&self.path));
         }
-        let names = Values::Labels(vec![self.name.clone(); rows]);
+        let names = Values::Labels(vec![self.name.as_str().into(); rows]);
         data.columns.push(Column { header: ColumnHeader::parse("test"), values: names });
         self.swept(data)
     }

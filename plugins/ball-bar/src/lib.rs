@@ -14,9 +14,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Error, InputFile, KinematicModel, KnownInput, Layout,
-    Observations, ObservationsInfo, Orientation, Parameter, ParameterRole, PathItem, Quantity, RankPoint, Result,
-    SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
+    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Error, InputFile, KinematicModel, KnownInput,
+    LabelText, Layout, Observations, ObservationsInfo, Orientation, Parameter, ParameterRole, PathItem, Quantity,
+    RankPoint, Result, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -124,7 +124,7 @@ impl BallBar {
         let labels = abbe_table::labels(&table, "feature")?;
         let centres = abbe_table::points(&table, ["x", "y", "z"])?;
         let balls = labels.iter().zip(centres);
-        Ok(balls.map(|(label, centre)| Ball { label: label.clone(), centre: Vector3::from(centre) }).collect())
+        Ok(balls.map(|(label, centre)| Ball { label: label.to_string(), centre: Vector3::from(centre) }).collect())
     }
 }
 
@@ -134,7 +134,7 @@ fn places(data: &Dataset, column: &str, known: &[&str], what: &str) -> Result<Ve
         return Ok(vec![0; data.rows()]);
     }
     let labels = DataRow::enumerate(abbe_table::labels(data, column)?);
-    let place = |(row, label): (DataRow, &String)| {
+    let place = |(row, label): (DataRow, &LabelText)| {
         known.iter().position(|known| known == label).ok_or_else(|| {
             let error = data.error_at(row, format!("{column} {label} is not among {what}"));
             error.help(format!("there are: {}", known.join(", ")))
@@ -194,7 +194,8 @@ impl Artefact for BallBar {
         abbe_table::require(&abbe_table::read_headers(&self.nominal)?, Some(&self.nominal), &columns)
     }
 
-    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+    fn observe(&self, data: &Arc<Dataset>, model: &Arc<dyn KinematicModel>) -> Result<Arc<dyn Observations>> {
+        let model = model.as_ref();
         let nominal = self.read_nominal()?;
         let labels: Vec<&str> = nominal.iter().map(|ball| ball.label.as_str()).collect();
         let ball_of_rows = places(data, "ball", &labels, "the nominal balls")?;

@@ -8,7 +8,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{AxisKind, KinematicModel, ListedBy, NominalReading, Poses, Result, RowIndex, Variable};
+use abbe_core::{AxisKind, KinematicModel, LabelText, ListedBy, NominalReading, Poses, Result, RowIndex, Variable};
 use nalgebra::Vector3;
 
 use crate::observed::{Bar, Observed};
@@ -126,7 +126,7 @@ fn reference(observed: &Observed, rows: &[NominalRow], bar: usize) -> Option<f64
 fn tests(observed: &Observed) -> Vec<Vec<RowIndex>> {
     let data = &observed.info.layout.data;
     let labels = data.labels("test");
-    let mut tests: BTreeMap<(usize, Option<&String>, usize, usize), Vec<RowIndex>> = BTreeMap::new();
+    let mut tests: BTreeMap<(usize, Option<&LabelText>, usize, usize), Vec<RowIndex>> = BTreeMap::new();
     for (index, row) in RowIndex::enumerate(&observed.info.layout.rows) {
         let data_row = row.data_row.unwrap_or_default();
         let label = labels.map(|labels| &labels[data_row]);

@@ -42,7 +42,7 @@ fn observed(balls: &str, rows: &str, settings: &Value) -> Result<Problem, String
     let made = || {
         let data = Arc::new(abbe_table::read(&folder.path().join("rows.csv"))?);
         artefact.check(&data.headers(), data.files.first(), model.as_ref())?;
-        let sets = vec![ObservationSet::new("bar", artefact.observe(&data, model.as_ref())?)];
+        let sets = vec![ObservationSet::new("bar", artefact.observe(&data, &model)?)];
         Problem::new(
             "fit",
             "serial-chain",

@@ -81,7 +81,7 @@ fn problem(chain: &str, evaluation: &str, seed: u64) -> Problem {
     let registry = Registry::built_in().unwrap();
     let Build::Artefact(constructor) = &registry.find(Kind::Artefact, "ball-bar").unwrap().build else { panic!() };
     let artefact = constructor.build(&settings, &Context { base: folder.path().to_owned() }).unwrap();
-    let observations = artefact.observe(&data, model.as_ref()).unwrap();
+    let observations = artefact.observe(&data, &model).unwrap();
     let sets = vec![ObservationSet::new("bar", observations)];
     Problem::new("fit", "serial-chain", model, sets, &["*".to_owned()]).unwrap()
 }

@@ -124,7 +124,7 @@ impl Setup {
         let registry = Registry::built_in().unwrap();
         let Build::Artefact(constructor) = &registry.find(Kind::Artefact, "ball-bar").unwrap().build else { panic!() };
         let artefact = constructor.build(&settings, &context(folder.path().to_owned())).unwrap();
-        let observations = artefact.observe(&data, model.as_ref()).unwrap();
+        let observations = artefact.observe(&data, &model).unwrap();
         let sets = vec![ObservationSet::new("bar", observations)];
         Problem::new("fit", "serial-chain", model, sets, patterns).unwrap()
     }

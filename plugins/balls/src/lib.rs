@@ -257,7 +257,7 @@ impl Balls {
             if *diameter <= 0.0 {
                 return Err(table.error_at(row, format!("ball {label} has the diameter {diameter} mm")));
             }
-            Ok(Ball { label: label.clone(), centre: Vector3::from(point), radius: diameter / 2.0 })
+            Ok(Ball { label: label.to_string(), centre: Vector3::from(point), radius: diameter / 2.0 })
         })
         .collect()
     }
@@ -343,11 +343,16 @@ impl Artefact for Balls {
         abbe_table::require(&nominal, Some(&self.nominal), &columns)
     }
 
-    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+    fn observe(&self, data: &Arc<Dataset>, model: &Arc<dyn KinematicModel>) -> Result<Arc<dyn Observations>> {
         self.observe_some(data, model)?.ok_or_else(|| abbe_table::untouched(&self.nominal))
     }
 
-    fn observe_some(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Option<Arc<dyn Observations>>> {
+    fn observe_some(
+        &self,
+        data: &Arc<Dataset>,
+        model: &Arc<dyn KinematicModel>,
+    ) -> Result<Option<Arc<dyn Observations>>> {
+        let model = model.as_ref();
         let nominal = self.read_nominal()?;
         let uncertainty = self.settings.standard_uncertainty_um * 1e-3;
         let of_rows = self.ball_of_rows(data, &nominal)?;

@@ -114,7 +114,7 @@ impl Rings {
             if diameter <= 0.0 {
                 return Err(table.error_at(row, format!("ring {label} has the diameter {diameter} mm")));
             }
-            Ok(Ring::new(label.clone(), Vector3::from(point), axis.normalize(), diameter))
+            Ok(Ring::new(label.to_string(), Vector3::from(point), axis.normalize(), diameter))
         })
         .collect()
     }
@@ -170,7 +170,8 @@ impl Artefact for Rings {
         abbe_table::require(&nominal, Some(&self.nominal), &columns)
     }
 
-    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+    fn observe(&self, data: &Arc<Dataset>, model: &Arc<dyn KinematicModel>) -> Result<Arc<dyn Observations>> {
+        let model = model.as_ref();
         let nominal = self.read_nominal_of(model.info().stylus_radius)?;
         let by_label: BTreeMap<&str, usize> =
             nominal.iter().enumerate().map(|(index, ring)| (ring.label.as_str(), index)).collect();

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use abbe_core::{Context, InputFile, KnownInput, Parameter, Quantity, Result, SettingsError, Unit};
+use abbe_core::{Context, InputFile, KnownInput, LabelText, Parameter, Quantity, Result, SettingsError, Unit};
 use abbe_dcc::{CertificateFile, CertifiedPoint, DigitalCertificate, Errors, ValueIndex};
 use nalgebra::Vector3;
 
@@ -107,7 +107,7 @@ impl Source {
 
 fn table(path: &Path, settings: &Settings) -> Result<Points> {
     let table = abbe_table::read(path)?;
-    let labels = abbe_table::labels(&table, &settings.point).map_err(|error| error.setting("point"))?.to_vec();
+    let labels = abbe_table::labels(&table, &settings.point).map_err(|error| error.setting("point"))?;
     abbe_table::unique_labels(&table, &settings.point)?;
     let points = match table.column("z") {
         Some(_) => abbe_table::points(&table, ["x", "y", "z"])?,
@@ -117,6 +117,7 @@ fn table(path: &Path, settings: &Settings) -> Result<Points> {
         }
     };
     let known = Known::Uncertainty(settings.calibration_standard_uncertainty_um * 1e-3);
+    let labels = labels.iter().map(LabelText::to_string).collect();
     Ok(Points { labels, points: points.into_iter().map(Vector3::from).collect(), known })
 }
 

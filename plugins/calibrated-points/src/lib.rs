@@ -14,9 +14,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, InputFile, KinematicModel, Layout,
-    ListedBy, Observations, ObservationsInfo, Parameter, Quantity, Result, RowBatch, RowIndex, SettingsError, Target,
-    Unit, not_negative, plain_naming, pose_columns, positive,
+    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, InputFile, KinematicModel, LabelText,
+    Layout, ListedBy, Observations, ObservationsInfo, Parameter, Quantity, Result, RowBatch, RowIndex, SettingsError,
+    Target, Unit, not_negative, plain_naming, pose_columns, positive,
 };
 use abbe_dcc::CertificateFile;
 use nalgebra::Vector3;
@@ -129,7 +129,7 @@ impl<T> Labelled<T> {
 impl CalibratedPoints {
     fn read_placements(&self) -> Result<Labelled<Placement>> {
         let table = abbe_table::read(&self.placements)?;
-        let labels = abbe_table::labels(&table, &self.settings.placement).map_err(of_placement)?.to_vec();
+        let labels = abbe_table::labels(&table, &self.settings.placement).map_err(of_placement)?;
         abbe_table::unique_labels(&table, &self.settings.placement)?;
         let origins = abbe_table::points(&table, ["x", "y", "z"])?;
         let along_x = abbe_table::vectors(&table, ["ux", "uy", "uz"])?;
@@ -142,6 +142,7 @@ impl CalibratedPoints {
                 )
             })
         });
+        let labels = labels.iter().map(LabelText::to_string).collect();
         Ok(Labelled { labels, items: placements.collect::<Result<_>>()? })
     }
 
@@ -210,11 +211,16 @@ impl Artefact for CalibratedPoints {
         required(&[&lengths[..], &directions].concat())
     }
 
-    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+    fn observe(&self, data: &Arc<Dataset>, model: &Arc<dyn KinematicModel>) -> Result<Arc<dyn Observations>> {
         self.observe_some(data, model)?.ok_or_else(|| abbe_table::untouched(self.points.file()))
     }
 
-    fn observe_some(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Option<Arc<dyn Observations>>> {
+    fn observe_some(
+        &self,
+        data: &Arc<Dataset>,
+        model: &Arc<dyn KinematicModel>,
+    ) -> Result<Option<Arc<dyn Observations>>> {
+        let model = model.as_ref();
         let (points, placements) = (self.points.read(&self.settings)?, self.read_placements()?);
         let known = points.places();
         let labels = abbe_table::labels(data, &self.settings.point).map_err(|error| error.setting("point"))?;

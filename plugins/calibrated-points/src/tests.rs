@@ -40,7 +40,7 @@ fn observed(points: &str, placements: &str, data: &str) -> Result<Arc<dyn Observ
     let data = Arc::new(abbe_table::read(&folder.path().join("data.csv")).unwrap());
     let observed = artefact
         .check(&data.headers(), data.files.first(), model().as_ref())
-        .and_then(|()| artefact.observe(&data, model().as_ref()));
+        .and_then(|()| artefact.observe(&data, &model()));
     observed.map_err(|error| error.to_string().replace(&format!("{}/", folder.path().display()), ""))
 }
 

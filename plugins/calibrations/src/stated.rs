@@ -193,7 +193,7 @@ impl Statement {
             };
             let (file, line) = (path.to_owned(), table.origins[row].line);
             let place = Box::new(move |message: String| Error::data(message).at(&file, line, None));
-            entries.push(Entry { name: name.clone(), value, standard_uncertainty, certified: None, place });
+            entries.push(Entry { name: name.to_string(), value, standard_uncertainty, certified: None, place });
         }
         Ok(entries)
     }

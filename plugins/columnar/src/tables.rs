@@ -93,7 +93,7 @@ pub fn residuals(fit: &Fit) -> Result<Table> {
     for own in sets.iter().flat_map(|set| &set.info().layout.data.columns) {
         let name = &own.header.name;
         if matches!(own.values, Values::Labels(_)) && taken.insert(name.clone()) {
-            let label = |row| data(row).labels(name).map_or_else(String::new, |cells| cells[row.data_row].clone());
+            let label = |row| data(row).labels(name).map_or_else(String::new, |cells| cells[row.data_row].to_string());
             columns.push(labels(name, rows.iter().map(label)));
         }
     }

@@ -18,8 +18,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Context, DataRow, Dataset, Error, InputFile, KinematicModel, Label, Observations, PathItem,
-    Quantity, Result, SettingsError, Target, nearest, pose_columns, positive,
+    Artefact, ColumnHeader, Context, DataRow, Dataset, Error, InputFile, KinematicModel, Label, LabelText,
+    Observations, PathItem, Quantity, Result, SettingsError, Target, nearest, pose_columns, positive,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -355,11 +355,11 @@ impl Direct {
     }
 
     /// The label of every row, each that of a measurement; every measurement has rows.
-    fn labels<'a>(&self, data: &'a Dataset) -> Result<&'a [String]> {
+    fn labels<'a>(&self, data: &'a Dataset) -> Result<&'a [LabelText]> {
         let labels =
             abbe_table::labels(data, &self.settings.measurement).map_err(|error| error.setting("measurement"))?;
         let known = &self.settings.measurements;
-        if let Some((row, label)) = DataRow::enumerate(labels).find(|(_, label)| !known.contains_key(*label)) {
+        if let Some((row, label)) = DataRow::enumerate(labels).find(|(_, label)| !known.contains_key(label.as_str())) {
             let message = format!("{} `{}` is not among the `measurements`", self.settings.measurement, label);
             let near = nearest(label, known.keys().map(String::as_str));
             let help = near.map_or_else(
@@ -368,7 +368,7 @@ impl Direct {
             );
             return Err(data.error_at(row, message).help(help));
         }
-        match known.keys().find(|label| !labels.contains(label)) {
+        match known.keys().find(|label| !labels.iter().any(|own| own == *label)) {
             Some(label) => {
                 let column = &self.settings.measurement;
                 Err(at(label, SettingsError::new("", format!("no row of the data has the {column} `{label}`"))))
@@ -389,7 +389,8 @@ impl Artefact for Direct {
         self.lines(headers, model).map(drop)
     }
 
-    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+    fn observe(&self, data: &Arc<Dataset>, model: &Arc<dyn KinematicModel>) -> Result<Arc<dyn Observations>> {
+        let model = model.as_ref();
         let headers = data.headers();
         self.settings.check_columns(&headers, data.files.first(), model)?;
         let labels = self.labels(data)?;

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use abbe_core::rotation::inverse_left_jacobian;
 use abbe_core::{
-    Contact, DataRow, Dataset, Equations, KinematicModel, Layout, LayoutEquation, Observations, ObservationsInfo,
-    Orientation, Parameter, ParameterRole, Poses, Quantity, Result, RowBatch, RowIndex, Unit, Values,
+    Contact, DataRow, Dataset, Equations, KinematicModel, LabelText, Layout, LayoutEquation, Observations,
+    ObservationsInfo, Orientation, Parameter, ParameterRole, Poses, Quantity, Result, RowBatch, RowIndex, Unit, Values,
 };
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
@@ -63,7 +63,7 @@ struct Run {
 /// Makes the observations; `labels` has the label of every row, each that of a line.
 pub fn observe(
     data: &Arc<Dataset>,
-    labels: &[String],
+    labels: &[LabelText],
     lines: &BTreeMap<&str, Line>,
     model: &dyn KinematicModel,
 ) -> Result<Arc<dyn Observations>> {
@@ -114,7 +114,7 @@ pub fn observe(
 fn run_of(data: &Dataset, row: DataRow, label: &str, line: &Line) -> String {
     let values =
         line.datum_columns.iter().filter_map(|column| match data.column(column).map(|column| &column.values) {
-            Some(Values::Labels(labels)) => Some(labels[row].clone()),
+            Some(Values::Labels(labels)) => Some(labels[row].to_string()),
             Some(Values::Numbers(numbers)) => Some(format!("{}", (numbers[row] * 1e9).round() / 1e9)),
             None => None,
         });
@@ -154,8 +154,8 @@ fn runs<'a, 'b>(
 /// The columns that rows are read from.
 struct Columns<'a> {
     positions: Option<&'a [f64]>,
-    directions: Option<&'a [String]>,
-    legs: Option<&'a [String]>,
+    directions: Option<&'a [LabelText]>,
+    legs: Option<&'a [LabelText]>,
     times: Option<&'a [f64]>,
 }
 

@@ -9,12 +9,12 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use abbe_core::{
     Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, Feature, InputFile, KinematicModel,
-    Label, Layout, ListedBy, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Poses, Quantity,
-    Result, RowBatch, RowIndex, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
+    Label, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Poses, Quantity, Result,
+    RowBatch, RowIndex, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
 };
 use abbe_probe::EffectiveRadius;
 use nalgebra::{Matrix3, Vector3};
@@ -222,7 +222,7 @@ impl Facets {
         let normals = abbe_table::vectors(&table, ["nx", "ny", "nz"])?;
         let rows = DataRow::enumerate(labels.iter().zip(points).zip(normals));
         rows.map(|(row, ((label, point), normal))| {
-            let (label, point, normal) = (label.clone(), Vector3::from(point), Vector3::from(normal));
+            let (label, point, normal) = (label.to_string(), Vector3::from(point), Vector3::from(normal));
             // Files round their normals; one that is far from a unit vector is a mistake and not a rounding.
             if (normal.norm() - 1.0).abs() > 1e-2 {
                 let message = format!("the normal of facet {label} has length {:.4}; 1 was expected", normal.norm());
@@ -258,11 +258,15 @@ impl Artefact for Facets {
         abbe_table::require(&nominal, Some(&self.nominal), &columns)
     }
 
-    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+    fn observe(&self, data: &Arc<Dataset>, model: &Arc<dyn KinematicModel>) -> Result<Arc<dyn Observations>> {
         self.observe_some(data, model)?.ok_or_else(|| abbe_table::untouched(&self.nominal))
     }
 
-    fn observe_some(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Option<Arc<dyn Observations>>> {
+    fn observe_some(
+        &self,
+        data: &Arc<Dataset>,
+        model: &Arc<dyn KinematicModel>,
+    ) -> Result<Option<Arc<dyn Observations>>> {
         let nominal = self.read_nominal()?;
         self.known(&nominal)?;
         self.as_nominal(&nominal)?;
@@ -271,14 +275,13 @@ impl Artefact for Facets {
         let labels = abbe_table::labels(data, "feature")?.iter();
         let of_rows: Vec<Option<usize>> = labels.map(|label| by_label.get(label.as_str()).copied()).collect();
         let Some(touched) = abbe_table::touched_by_some(&of_rows) else { return Ok(None) };
-        let mut layout = Layout::new(data, model, &[&plain_naming])?;
+        let mut layout = Layout::new(data, model.as_ref(), &[&plain_naming])?;
         let uncertainty = self.settings.standard_uncertainty_um * 1e-3;
         for (row, _) in &touched.rows {
-            layout.push(model, *row, &[uncertainty])?;
+            layout.push(model.as_ref(), *row, &[uncertainty])?;
         }
         let facet_of_row: Vec<usize> = touched.rows.iter().map(|(_, facet)| *facet).collect();
         let facets: Vec<Facet> = touched.features.iter().map(|&facet| nominal[facet].clone()).collect();
-        let touches = touches(&facets, &facet_of_row, &layout, model);
         let unknowns = facets.iter().map(|facet| {
             Parameter::new(format!("facet[{}].d", facet.label), Unit::MM).with_role(ParameterRole::Feature)
         });
@@ -288,14 +291,15 @@ impl Artefact for Facets {
             shifts: vec![(index, facet.normal.into())],
         });
         let uncertainty = self.settings.stylus_radius_standard_uncertainty_um * 1e-3;
-        let radius = EffectiveRadius::new(model, &layout, uncertainty)?;
+        let radius = EffectiveRadius::new(model.as_ref(), &layout, uncertainty)?;
         let info = ObservationsInfo {
             inputs: radius.inputs().to_vec(),
             orientation: radius.orientation(),
             features: features.collect(),
             ..ObservationsInfo::new(layout, unknowns.collect(), Contact::LinearAxes)
         };
-        Ok(Some(Arc::new(Touches { info, facets, touches, radius })))
+        let (model, beside) = (model.clone(), OnceLock::new());
+        Ok(Some(Arc::new(Touches { info, facets, facet_of_row, radius, model, beside })))
     }
 
     /// Whether a facet was touched at its point or beside it is judged by the touches that are there: nominal contact, where
@@ -319,46 +323,47 @@ impl Artefact for Facets {
 /// meant.
 const AIMED_AT: f64 = 1.0;
 
-/// A touch.
-#[derive(Debug, Clone, PartialEq)]
-struct Touch {
-    /// The index of its facet.
-    facet: usize,
-    /// Where it lies beside the nominal point, in the plane of the facet, by the nominal machine, mm. Zero for all touches of a facet
-    /// that were aimed at its point.
-    beside: Vector3<f64>,
-}
-
-impl ListedBy<RowIndex> for Touch {}
-
-/// The touches of the rows of a layout.
-fn touches(facets: &[Facet], of_rows: &[usize], layout: &Layout, model: &dyn KinematicModel) -> Vec<Touch> {
-    let statuses: Vec<f64> = layout.poses.indices().flat_map(|pose| layout.poses.row(pose)).copied().collect();
-    let mut poses = Poses::default();
-    // A pose that the nominal machine does not have is refused where it is evaluated, with its row.
-    if model.poses(&statuses, &model.info().nominal, &[], false, &mut poses).is_err() {
-        return of_rows.iter().map(|&facet| Touch { facet, beside: Vector3::zeros() }).collect();
-    }
-    let touch = |(&facet, tip): (&usize, &[f64; 3])| {
-        let Facet { point, normal, curved, .. } = &facets[facet];
-        let from_point = Vector3::from(*tip) - point;
-        let beside = from_point - from_point.dot(normal) * normal;
-        Touch { facet, beside: if curved.is_none() { beside } else { Vector3::zeros() } }
-    };
-    let mut touches: Vec<Touch> = of_rows.iter().zip(&poses.positions).map(touch).collect();
-    let mut is_aimed_at = vec![true; facets.len()];
-    // A place that is not known is not beside the point.
-    touches.iter().filter(|touch| touch.beside.norm() > AIMED_AT).for_each(|touch| is_aimed_at[touch.facet] = false);
-    touches.iter_mut().filter(|touch| is_aimed_at[touch.facet]).for_each(|touch| touch.beside = Vector3::zeros());
-    touches
-}
-
 /// Touches on facets.
 struct Touches {
     info: ObservationsInfo,
     facets: Vec<Facet>,
-    touches: Vec<Touch>,
+    facet_of_row: Vec<usize>,
     radius: EffectiveRadius,
+    model: Arc<dyn KinematicModel>,
+    /// See [`Touches::beside`].
+    beside: OnceLock<Vec<Vector3<f64>>>,
+}
+
+impl Touches {
+    /// Where each touch lies beside the nominal point, in the plane of its facet, by the nominal machine, mm. Zero for all touches of a
+    /// facet that were aimed at its point. Computed when it is asked for: an estimate passes its rows many times and needs it once.
+    fn beside(&self) -> &[Vector3<f64>] {
+        self.beside.get_or_init(|| beside(&self.facets, &self.facet_of_row, &self.info.layout, self.model.as_ref()))
+    }
+}
+
+/// See [`Touches::beside`].
+fn beside(facets: &[Facet], of_rows: &[usize], layout: &Layout, model: &dyn KinematicModel) -> Vec<Vector3<f64>> {
+    let statuses: Vec<f64> = layout.poses.indices().flat_map(|pose| layout.poses.row(pose)).copied().collect();
+    let mut poses = Poses::default();
+    // A pose that the nominal machine does not have is refused where it is evaluated, with its row.
+    if model.poses(&statuses, &model.info().nominal, &[], false, &mut poses).is_err() {
+        return vec![Vector3::zeros(); of_rows.len()];
+    }
+    let beside = |(&facet, tip): (&usize, &[f64; 3])| {
+        let Facet { point, normal, curved, .. } = &facets[facet];
+        let from_point = Vector3::from(*tip) - point;
+        let beside = from_point - from_point.dot(normal) * normal;
+        if curved.is_none() { beside } else { Vector3::zeros() }
+    };
+    let mut all: Vec<Vector3<f64>> = of_rows.iter().zip(&poses.positions).map(beside).collect();
+    let mut is_aimed_at = vec![true; facets.len()];
+    // A place that is not known is not beside the point.
+    let far = of_rows.iter().zip(&all).filter(|(_, beside)| beside.norm() > AIMED_AT);
+    far.for_each(|(&facet, _)| is_aimed_at[facet] = false);
+    let aimed = of_rows.iter().zip(&mut all).filter(|(facet, _)| is_aimed_at[**facet]);
+    aimed.for_each(|(_, beside)| *beside = Vector3::zeros());
+    all
 }
 
 impl Observations for Touches {
@@ -368,7 +373,7 @@ impl Observations for Touches {
 
     fn evaluate(&self, batch: RowBatch<'_>, out: &mut Equations) -> Result<()> {
         for (pose, (&row, position)) in batch.rows.iter().zip(batch.positions).enumerate() {
-            let index = self.touches[row].facet;
+            let index = self.facet_of_row[row];
             let (distance, outward, turning) = self.facets[index].distance(Vector3::from(*position));
             let radius = self.radius.at(row, pose, &batch, &outward);
             radius.write(distance - batch.own[index] - radius.value, &(outward - turning * radius.by_normal), out);
@@ -381,8 +386,8 @@ impl Observations for Touches {
         if !self.radius.is_constant(inputs) {
             return Ok(None);
         }
-        let Touch { facet, beside } = &self.touches[row];
-        let Facet { point, normal, .. } = &self.facets[*facet];
-        Ok(Some((point + beside + (own[*facet] + inputs[0]) * normal).into()))
+        let (facet, beside) = (self.facet_of_row[row], self.beside()[row]);
+        let Facet { point, normal, .. } = &self.facets[facet];
+        Ok(Some((point + beside + (own[facet] + inputs[0]) * normal).into()))
     }
 }

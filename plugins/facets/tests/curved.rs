@@ -38,7 +38,7 @@ fn evaluated_on(nominal: &str, curved: Value, touches: &[(&str, [f64; 3])]) -> R
         _ => unreachable!(),
     })?;
     let data = Arc::new(abbe_table::read(&file).unwrap());
-    let observations = artefact.observe(&data, model.as_ref());
+    let observations = artefact.observe(&data, &model);
     let observations = observations.map_err(|error| error.to_string().replace(&shown(folder.path()), ""))?;
     // The tool offsets move the tip along the axes: derivatives to them are those to the tip.
     let patterns = ["dxt", "dyt", "dzt"].map(str::to_owned);

@@ -187,7 +187,7 @@ fn runs(problem: &Problem, select: &Select) -> Result<Vec<Run>> {
         for &row in &set.rows {
             let Some(data_row) = layout.rows[row].data_row else { continue };
             let label = match (labels, times) {
-                (Some(labels), _) => labels[data_row].clone(),
+                (Some(labels), _) => labels[data_row].to_string(),
                 (None, Some(times)) => format!("part {}", part(times[data_row]).min(parts - 1) + 1),
                 (None, None) => continue,
             };

@@ -48,7 +48,7 @@ fn names(data: &Dataset) -> String {
 fn rows(data: &Dataset) -> Vec<String> {
     let cell = |values: &Values, row: usize| match values {
         Values::Numbers(numbers) => numbers[row].to_string(),
-        Values::Labels(labels) => labels[row].clone(),
+        Values::Labels(labels) => labels[row].to_string(),
     };
     let row = |row| data.columns.iter().map(|column| cell(&column.values, row)).collect::<Vec<_>>().join(" ");
     (0..data.rows()).map(row).collect()

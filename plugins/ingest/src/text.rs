@@ -248,7 +248,7 @@ impl Lines {
                 Error::data(message).at(row.path, row.line, Some(1)).help(help)
             })?;
             match &mut cells.values {
-                Values::Labels(labels) => labels.push(cell.trim().to_owned()),
+                Values::Labels(labels) => labels.push(cell.trim().into()),
                 Values::Numbers(numbers) => {
                     let column_of = || own.map(|found| row.indent + row.content[..found.start()].chars().count() + 1);
                     let number = abbe_table::number_in(name, cell, column.unit, self.decimal);

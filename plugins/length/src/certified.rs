@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use abbe_core::{DataRow, Dataset, Error, Result, Unit};
+use abbe_core::{DataRow, Dataset, Error, LabelText, Result, Unit};
 use abbe_dcc::{DigitalCertificate, Errors, ValueIndex};
 
 /// The certified length of every row.
@@ -19,7 +19,7 @@ impl Certified {
         let of_rows = match data.column("reference") {
             Some(_) => {
                 let labels = DataRow::enumerate(abbe_table::labels(data, "reference")?);
-                let find = |(row, label): (DataRow, &String)| {
+                let find = |(row, label): (DataRow, &LabelText)| {
                     let file = certificate.file.clone();
                     certificate.find(label, Unit::MM).map_err(|error| in_row(data, row, error, &file))
                 };

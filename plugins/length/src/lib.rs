@@ -11,8 +11,8 @@ use std::sync::Arc;
 
 use abbe_core::{
     Absent, Artefact, Axis, AxisKind, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, InputFile,
-    KinematicModel, KnownInput, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Poses,
-    Quantity, RankPoint, Result, RowBatch, RowIndex, SettingsError, StatusColumn, Target, Unit, not_negative,
+    KinematicModel, KnownInput, LabelText, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem,
+    Poses, Quantity, RankPoint, Result, RowBatch, RowIndex, SettingsError, StatusColumn, Target, Unit, not_negative,
     pose_columns, positive,
 };
 use abbe_dcc::{CertificateFile, DigitalCertificate};
@@ -172,7 +172,8 @@ impl Artefact for Lengths {
         }
     }
 
-    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+    fn observe(&self, data: &Arc<Dataset>, model: &Arc<dyn KinematicModel>) -> Result<Arc<dyn Observations>> {
+        let model = model.as_ref();
         let mut layout = Layout::new(data, model, &[&naming(1), &naming(2)])?;
         for row in data.row_indices() {
             layout.push(model, row, &[self.settings.standard_uncertainty_um * 1e-3])?;
@@ -239,7 +240,7 @@ struct Measured {
 }
 
 /// The name of an own quantity of the bar of a row.
-fn of_bar(bars: Option<&[String]>, row: DataRow, own: &str) -> String {
+fn of_bar(bars: Option<&[LabelText]>, row: DataRow, own: &str) -> String {
     bars.map_or(own.to_owned(), |bars| format!("bar[{}].{own}", bars[row]))
 }
 
@@ -304,7 +305,7 @@ impl Measured {
     }
 
     /// What the certificate of the bar of a row says: its label and the lengths that it has.
-    fn certificate(&self, bars: Option<&[String]>, row: DataRow, uncertainty: f64) -> String {
+    fn certificate(&self, bars: Option<&[LabelText]>, row: DataRow, uncertainty: f64) -> String {
         let of_bar = |other: &DataRow| bars.is_none_or(|bars| bars[*other] == bars[row]);
         let mut lengths: Vec<f64> =
             DataRow::first(self.references.len()).filter(of_bar).map(|row| self.references[row]).collect();

@@ -103,7 +103,8 @@ impl Artefact for Poses {
         abbe_table::require(headers, file, &ORIENTATION.map(|name| (name, Quantity::Ratio)))
     }
 
-    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+    fn observe(&self, data: &Arc<Dataset>, model: &Arc<dyn KinematicModel>) -> Result<Arc<dyn Observations>> {
+        let model = model.as_ref();
         let observed = read(data)?;
         let mut layout = Layout::new(data, model, &[&plain_naming])?;
         let Settings { standard_uncertainty_um: um, standard_uncertainty_urad: urad, pose, observer } = self.settings;

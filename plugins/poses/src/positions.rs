@@ -67,7 +67,8 @@ impl Artefact for Positions {
         abbe_table::require(headers, file, &POSITION.map(|name| (name, Quantity::Length)))
     }
 
-    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+    fn observe(&self, data: &Arc<Dataset>, model: &Arc<dyn KinematicModel>) -> Result<Arc<dyn Observations>> {
+        let model = model.as_ref();
         let observed: Vec<Vector3<f64>> = abbe_table::points(data, POSITION)?.into_iter().map(Vector3::from).collect();
         let mut layout = Layout::new(data, model, &[&plain_naming])?;
         let uncertainty = self.settings.standard_uncertainty_um * 1e-3;

@@ -8,8 +8,9 @@ use std::sync::Arc;
 
 use abbe_core::{
     Artefact, AxisKind, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Feature, InputFile,
-    KinematicModel, Layout, NominalReading, Observations, ObservationsInfo, Orientation, Parameter, ParameterRole,
-    Quantity, RankPoint, Result, RowBatch, RowIndex, SettingsError, Target, Unit, plain_naming, pose_columns, positive,
+    KinematicModel, LabelText, Layout, NominalReading, Observations, ObservationsInfo, Orientation, Parameter,
+    ParameterRole, Quantity, RankPoint, Result, RowBatch, RowIndex, SettingsError, Target, Unit, plain_naming,
+    pose_columns, positive,
 };
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
@@ -94,7 +95,7 @@ impl RTest {
         let places: Vec<usize> = if data.column("ball").is_none() && labels.len() == 1 {
             vec![0; data.rows()]
         } else {
-            let place = |(row, label): (DataRow, &String)| {
+            let place = |(row, label): (DataRow, &LabelText)| {
                 labels.iter().position(|known| known == label).ok_or_else(|| {
                     let error = data.error_at(row, format!("ball {label} is not among the nominal balls"));
                     error.help(format!("there are: {}", labels.join(", ")))
@@ -106,7 +107,7 @@ impl RTest {
         used.sort_unstable();
         used.dedup();
         let of_rows = places.iter().map(|place| used.partition_point(|other| other < place)).collect();
-        let ball = |&place: &usize| Ball { label: labels[place].clone(), centre: Vector3::from(centres[place]) };
+        let ball = |&place: &usize| Ball { label: labels[place].to_string(), centre: Vector3::from(centres[place]) };
         Ok((used.iter().map(ball).collect(), of_rows))
     }
 }
@@ -125,7 +126,8 @@ impl Artefact for RTest {
         abbe_table::require(&abbe_table::read_headers(&self.nominal)?, Some(&self.nominal), &columns)
     }
 
-    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+    fn observe(&self, data: &Arc<Dataset>, model: &Arc<dyn KinematicModel>) -> Result<Arc<dyn Observations>> {
+        let model = model.as_ref();
         let (balls, ball_of_row) = self.balls(data)?;
         let names = self.settings.readings.each_ref().map(String::as_str);
         let readings: Vec<Vector3<f64>> = abbe_table::points(data, names)?.into_iter().map(Vector3::from).collect();
@@ -164,7 +166,7 @@ impl Artefact for RTest {
         let table = abbe_table::read(&self.nominal)?;
         let labels = abbe_table::labels(&table, "feature")?;
         let centres = abbe_table::points(&table, ["x", "y", "z"])?;
-        let ball = |(label, tip): (&String, [f64; 3])| Target { feature: label.clone(), tip, approach: None };
+        let ball = |(label, tip): (&LabelText, [f64; 3])| Target { feature: label.to_string(), tip, approach: None };
         Ok(labels.iter().zip(centres).map(ball).collect())
     }
 }

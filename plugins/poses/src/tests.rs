@@ -139,7 +139,7 @@ impl Scene {
     }
 
     fn observe(&self, text: &str) -> Result<Arc<dyn Observations>> {
-        artefact(&self.settings).observe(&table(text), self.model().as_ref())
+        artefact(&self.settings).observe(&table(text), &self.model())
     }
 
     fn problem(&self, text: &str) -> Problem {

@@ -65,7 +65,8 @@ impl Artefact for ProbedPoints {
         check_headers(&self.nominal).map(drop)
     }
 
-    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+    fn observe(&self, data: &Arc<Dataset>, model: &Arc<dyn KinematicModel>) -> Result<Arc<dyn Observations>> {
+        let model = model.as_ref();
         let nominal = Points::read(&self.nominal)?;
         let by_label = nominal.by_label();
         let mut layout = Layout::new(data, model, &[&plain_naming])?;

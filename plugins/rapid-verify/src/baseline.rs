@@ -3,7 +3,9 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use abbe_core::{AxisKind, DataRow, Dataset, Error, Fit, Problem, Quantity, Result, StatusColumn, StatusRole, Values};
+use abbe_core::{
+    AxisKind, DataRow, Dataset, Error, Fit, LabelText, Problem, Quantity, Result, StatusColumn, StatusRole, Values,
+};
 
 use crate::candidates::{self, Candidates};
 use crate::copies::{Copied, copied};
@@ -60,7 +62,7 @@ const AS_BEFORE: &str = "runs have to probe the points as the baseline did";
 fn cell(data: &Dataset, name: &str, row: DataRow) -> Option<String> {
     Some(match &data.column(name)?.values {
         Values::Numbers(numbers) => numbers[row].to_string(),
-        Values::Labels(labels) => labels[row].clone(),
+        Values::Labels(labels) => labels[row].to_string(),
     })
 }
 
@@ -158,7 +160,7 @@ impl Baseline {
             let labels = abbe_table::labels(data, "point")?;
             let measured = abbe_table::numbers(data, "measured", Quantity::Length)?;
             let files = abbe_table::labels(data, "file")?;
-            let mut names: Vec<&String> = Vec::new();
+            let mut names: Vec<&LabelText> = Vec::new();
             files.iter().for_each(|file| {
                 if !names.contains(&file) {
                     names.push(file)
@@ -193,7 +195,7 @@ impl Baseline {
                     true => check_trigger(data, &touched)?,
                     false => drop(holds_trigger(data, &touched)?),
                 }
-                runs.push(Run { name: name.clone(), readings: readings.into_iter().flatten().collect() });
+                runs.push(Run { name: name.to_string(), readings: readings.into_iter().flatten().collect() });
             }
         }
         Ok(runs)

@@ -80,7 +80,7 @@ impl Points {
                 return Err(data.error_at(row, message).help("nx, ny, nz are the outward unit normal"));
             }
             let (axis, sense) = approach(&approaches[row]).map_err(|message| data.error_at(row, message))?;
-            let (label, facet) = (labels[row].clone(), facets[row].clone());
+            let (label, facet) = (labels[row].to_string(), facets[row].to_string());
             list.push(Point { label, facet, position, normal: normal.normalize(), axis, sense });
         }
         if list.is_empty() {
@@ -180,7 +180,7 @@ pub const ELSEWHERE_ANGLE: f64 = 1e-3;
 fn label(data: &Dataset, name: &str, row: DataRow) -> Option<String> {
     let text = match &data.column(name)?.values {
         Values::Numbers(numbers) => numbers[row].to_string(),
-        Values::Labels(labels) => labels[row].clone(),
+        Values::Labels(labels) => labels[row].to_string(),
     };
     if name == "approach" { approach(&text).ok().map(|(axis, _)| axis) } else { Some(text) }
 }

@@ -1,6 +1,6 @@
 //! Runs, stretch by stretch: rows of one run that follow one another, as data sets show them.
 
-use abbe_core::{DataRow, Dataset, Error, Passes, Result};
+use abbe_core::{DataRow, Dataset, Error, LabelText, Passes, Result};
 
 use crate::encoder::Counter;
 use crate::readings::{Columns, Expected};
@@ -99,11 +99,11 @@ impl Walk<'_> {
     }
 
     /// Begins a run if a row is not of the present one.
-    fn enter(&mut self, data: &Dataset, row: usize, labels: Option<&[String]>) -> Result<()> {
+    fn enter(&mut self, data: &Dataset, row: usize, labels: Option<&[LabelText]>) -> Result<()> {
         let label = match labels {
-            Some(labels) if self.labels.last() == Some(&labels[row]) => return Ok(()),
+            Some(labels) if self.labels.last().is_some_and(|last| labels[row] == *last) => return Ok(()),
             None if !self.labels.is_empty() => return Ok(()),
-            Some(labels) => labels[row].clone(),
+            Some(labels) => labels[row].to_string(),
             None => {
                 let file = data.files.first().and_then(|file| file.file_stem());
                 file.map_or(String::new(), |stem| stem.to_string_lossy().into_owned())

@@ -61,7 +61,7 @@ pub fn tools(path: &Path, settings: &Settings) -> Result<Vec<(Tool, usize)>> {
             return Err(data.error_at(row, message));
         }
         let tool = Tool {
-            tool: name.clone(),
+            tool: name.to_string(),
             preset: [length[row], radius[row]],
             wear_limit: [wear_length[row], wear_radius[row]],
         };

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use abbe_core::{DataRow, Dataset, Error, Feature, Figure, Findings, Fit, Quantity, Result};
+use abbe_core::{DataRow, Dataset, Error, Feature, Figure, Findings, Fit, LabelText, Quantity, Result};
 use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3, Vector6};
 
 use crate::figures::{Limits, Sample, UM, judged};
@@ -53,7 +53,7 @@ impl Cmm {
     pub fn read(path: &Path) -> Result<Self> {
         let table = abbe_table::read(path)?;
         abbe_table::unique_labels(&table, "feature")?;
-        let labels = abbe_table::labels(&table, "feature")?.to_vec();
+        let labels = abbe_table::labels(&table, "feature")?.iter().map(LabelText::to_string).collect();
         let points = abbe_table::points(&table, ["x", "y", "z"])?.into_iter().map(Vector3::from).collect();
         let facets = ["nx", "ny", "nz", "d"].iter().any(|name| table.column(name).is_some());
         let offsets = if facets {

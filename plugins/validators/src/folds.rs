@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::{
-    Calibration, Error, Figure, Findings, Fit, Label, Layout, Limit, Owner, PathItem, Problem, Result, RowIndex,
-    SetIndex, SettingsError, Termination, Unknown,
+    Calibration, Error, Figure, Findings, Fit, Label, LabelText, Layout, Limit, Owner, PathItem, Problem, Result,
+    RowIndex, SetIndex, SettingsError, Termination, Unknown,
 };
 use abbe_estimation::Judgement;
 use abbe_numerics::Factor;
@@ -104,7 +104,7 @@ impl Folds {
 /// The labels of a column of the rows of a set.
 pub struct LabelsOfRows<'a> {
     layout: &'a Layout,
-    labels: &'a [String],
+    labels: &'a [LabelText],
 }
 
 impl<'a> LabelsOfRows<'a> {

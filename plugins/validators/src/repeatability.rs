@@ -8,8 +8,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::{
-    AxisKind, Context, DataRow, Dataset, Error, Figure, Findings, Fit, Names, PathItem, Problem, Quantity, Result,
-    RowIndex, SetIndex, SettingsError, Validate, Whole,
+    AxisKind, Context, DataRow, Dataset, Error, Figure, Findings, Fit, LabelText, Names, PathItem, Problem, Quantity,
+    Result, RowIndex, SetIndex, SettingsError, Validate, Whole,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -333,7 +333,7 @@ impl Labelled {
             return Err(Error::usage("a column was expected").setting(setting));
         }
         let columns = names.iter().map(|name| abbe_table::labels(data, name).map_err(|error| error.setting(setting)));
-        let columns: Vec<&[String]> = columns.collect::<Result<_>>()?;
+        let columns: Vec<&[LabelText]> = columns.collect::<Result<_>>()?;
         let orders: Vec<BTreeMap<&str, usize>> = columns.iter().map(|column| ordered(column)).collect();
         let of_row = |row: DataRow| columns.iter().map(move |column| column[row].as_str());
         let key =
@@ -350,9 +350,9 @@ impl Labelled {
 }
 
 /// The place of every label: by number if all are numbers, else as they appear.
-fn ordered(labels: &[String]) -> BTreeMap<&str, usize> {
+fn ordered(labels: &[LabelText]) -> BTreeMap<&str, usize> {
     let mut seen = BTreeSet::new();
-    let mut different: Vec<&str> = labels.iter().map(String::as_str).filter(|label| seen.insert(*label)).collect();
+    let mut different: Vec<&str> = labels.iter().map(LabelText::as_str).filter(|label| seen.insert(*label)).collect();
     let numbers: Option<Vec<f64>> = different.iter().map(|label| label.parse().ok()).collect();
     if let Some(numbers) = numbers {
         let mut numbered: Vec<(f64, &str)> = numbers.into_iter().zip(different).collect();

@@ -7,8 +7,8 @@
 use std::sync::Arc;
 
 use abbe_core::{
-    Context, Dataset, Error, Figure, Findings, Fit, Owner, PathItem, Problem, Result, RowIndex, SettingsError, Unknown,
-    Validate, in_parallel, matches,
+    Context, Dataset, Error, Figure, Findings, Fit, LabelText, Owner, PathItem, Problem, Result, RowIndex,
+    SettingsError, Unknown, Validate, in_parallel, matches,
 };
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -165,7 +165,7 @@ impl Repeats {
 /// The labels of the repeats, in the order in which they appear, and the rows of each set that belong to each.
 fn repeats(problem: &Problem, by: &str) -> Result<Vec<(String, Vec<Vec<RowIndex>>)>> {
     let mut found: Vec<(String, Vec<Vec<RowIndex>>)> = Vec::new();
-    let of_rows: Vec<Option<&[String]>> = problem.sets.iter().map(|set| set.info().layout.data.labels(by)).collect();
+    let of_rows: Vec<Option<&[LabelText]>> = problem.sets.iter().map(|set| set.info().layout.data.labels(by)).collect();
     if of_rows.iter().all(Option::is_none) {
         let set = problem.sets.first().ok_or_else(|| Error::data("there are no observations"))?;
         abbe_table::labels(&set.info().layout.data, by).map_err(|error| error.setting("by"))?;
@@ -181,7 +181,7 @@ fn repeats(problem: &Problem, by: &str) -> Result<Vec<(String, Vec<Vec<RowIndex>
                 None => {
                     let mut rows = empty();
                     rows[index].push(row);
-                    found.push((label.clone(), rows));
+                    found.push((label.to_string(), rows));
                 }
             }
         }

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use abbe_core::{
-    Absent, Axis, DataRow, Dataset, Error, Feature, Fit, KinematicModel, Layout, ObservationSet, Poses, Quantity,
-    Result, RowIndex, SetIndex, StatusColumn, plain_naming,
+    Absent, Axis, DataRow, Dataset, Error, Feature, Fit, KinematicModel, LabelText, Layout, ObservationSet, Poses,
+    Quantity, Result, RowIndex, SetIndex, StatusColumn, plain_naming,
 };
 use abbe_geometry::{Fitted, Sphere, sphere};
 use nalgebra::Vector3;
@@ -123,8 +123,8 @@ fn nominal_touch(set: &ObservationSet, row: RowIndex, feature: &Feature) -> Resu
 
 /// The labels that tell touches apart.
 struct Labels<'a> {
-    feature: Option<&'a [String]>,
-    split: Option<(&'a str, &'a [String])>,
+    feature: Option<&'a [LabelText]>,
+    split: Option<(&'a str, &'a [LabelText])>,
 }
 
 impl<'a> Labels<'a> {

@@ -73,7 +73,7 @@ pub fn fit_to(artefact: &str, nominal: &str, touches: &str, machine: &Value, rob
     let data = Arc::new(abbe_table::read(&file).unwrap());
     let observations = plugin(Kind::Artefact, artefact, |plugin| match &plugin.build {
         Build::Artefact(constructor) => {
-            Some(constructor.build(&settings, &context).unwrap().observe(&data, model.as_ref()).unwrap())
+            Some(constructor.build(&settings, &context).unwrap().observe(&data, &model).unwrap())
         }
         _ => None,
     });

@@ -9,7 +9,7 @@ fn data(columns: &[(&str, Vec<f64>)], runs: &[&str]) -> Dataset {
         header: ColumnHeader::parse(name),
         values: Values::Numbers(values.clone()),
     };
-    let labels = Values::Labels(runs.iter().map(|run| (*run).to_owned()).collect());
+    let labels = Values::Labels(runs.iter().map(|run| (*run).into()).collect());
     let of_runs = Column { header: ColumnHeader::parse("run"), values: labels };
     Dataset {
         columns: columns.iter().map(number).chain([of_runs]).collect(),

@@ -19,7 +19,7 @@ const MOST: usize = 400;
 pub fn check_independence(
     artefact: &dyn Artefact,
     data: &Arc<Dataset>,
-    model: &dyn KinematicModel,
+    model: &Arc<dyn KinematicModel>,
 ) -> Result<Vec<String>> {
     if !artefact.rows_are_independent() || data.rows() < 4 {
         return Ok(Vec::new());
@@ -63,7 +63,7 @@ impl Seen {
         data: &Arc<Dataset>,
         chosen: Option<&[DataRow]>,
         artefact: &dyn Artefact,
-        model: &dyn KinematicModel,
+        model: &Arc<dyn KinematicModel>,
     ) -> Result<Self> {
         let observations = artefact.observe(data, model)?;
         let set = ObservationSet::new("", observations.clone());

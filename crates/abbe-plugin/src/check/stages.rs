@@ -32,7 +32,7 @@ fn trials(plugin: &Plugin) -> Vec<(&'static str, Result<()>)> {
     let data =
         || [("no data", Dataset::default()), ("columns without rows", rows(0, 0.0)), ("huge numbers", rows(3, 1e308))];
     let fits = || [("an estimate of nothing", fit(&[])), ("an estimate of huge values", fit(&[1e308, -1e308]))];
-    let machine = Plain::new();
+    let machine: Arc<dyn KinematicModel> = Arc::new(Plain::new());
     // The test of settings reports an example that cannot be built.
     match &plugin.build {
         Build::Ingest(constructor) => match constructor.build(example, &context) {
@@ -54,7 +54,9 @@ fn trials(plugin: &Plugin) -> Vec<(&'static str, Result<()>)> {
             Err(_) => Vec::new(),
         },
         Build::Export(constructor) => match constructor.build(example, &context) {
-            Ok(stage) => fits().map(|(given, fit)| (given, stage.export(&fit.calibration, &machine).map(drop))).into(),
+            Ok(stage) => {
+                fits().map(|(given, fit)| (given, stage.export(&fit.calibration, machine.as_ref()).map(drop))).into()
+            }
             Err(_) => Vec::new(),
         },
         Build::Model(constructor) => match constructor.build(example, &context) {
@@ -70,7 +72,7 @@ fn rows(count: usize, value: f64) -> Dataset {
         header: ColumnHeader { name: name.to_owned(), header: name.to_owned(), quantity },
         values,
     };
-    let mut columns = vec![column("feature", Quantity::Label, Values::Labels(vec!["1".to_owned(); count]))];
+    let mut columns = vec![column("feature", Quantity::Label, Values::Labels(vec!["1".into(); count]))];
     columns.extend(AXES.map(|axis| column(axis, Quantity::Length, Values::Numbers(vec![value; count]))));
     let origin = |row: usize| RowOrigin { file: 0, line: row + 2, row: row + 1 };
     Dataset {

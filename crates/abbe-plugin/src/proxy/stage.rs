@@ -115,16 +115,16 @@ impl Artefact for Stage {
         Lent::during(model, |model| ask(self.peer.as_ref(), ABBE_CHECK, &question, &[model]))
     }
 
-    fn observe(&self, data: &Arc<Dataset>, model: &dyn KinematicModel) -> Result<Arc<dyn Observations>> {
+    fn observe(&self, data: &Arc<Dataset>, model: &Arc<dyn KinematicModel>) -> Result<Arc<dyn Observations>> {
         let peer = self.peer.as_ref();
-        let object = Lent::during(model, |lent| ask_object(peer, ABBE_OBSERVE, data.as_ref(), &[lent]))?;
+        let object = ask_object(peer, ABBE_OBSERVE, data.as_ref(), &[Arc::new(Served::Machine(model.clone()))])?;
         let observed = observations(&object, Some(data)).map_err(|failure| failure.error(peer.who()))?;
         let (poses, width) = (&observed.info().layout.poses, model.info().status.len());
         let given = poses.indices().next().map_or(width, |first| poses.row(first).len());
         if given != width {
             return Err(broken(peer.who(), format!("gave poses of {given} statuses; the machine has {width}")));
         }
-        match not_linear(observed.info(), model) {
+        match not_linear(observed.info(), model.as_ref()) {
             Some(axis) => {
                 Err(broken(peer.who(), format!("gave rows that axis {axis} meets, which is no linear axis here")))
             }

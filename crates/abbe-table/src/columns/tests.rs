@@ -102,7 +102,7 @@ fn columns_are_taken_with_the_unit_of_the_file() {
 #[test]
 fn cells_mean_what_they_mean_in_csv() {
     let label = |cells| one("point", "", cells).unwrap().0.columns[0].values.clone();
-    let labels = |all: &[&str]| Values::Labels(all.iter().map(|&label| label.to_owned()).collect());
+    let labels = |all: &[&str]| Values::Labels(all.iter().map(|&label| label.into()).collect());
     let cells = vec![text(" a "), Cell::Whole(12), Cell::Number(1.0), Cell::Number(0.1), Cell::Missing];
     assert_eq!(label(cells), labels(&["a", "12", "1", "0.1", ""]));
 

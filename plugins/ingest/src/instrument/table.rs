@@ -132,7 +132,7 @@ impl Rows {
         let (mut labels, mut numbers) = (labels.iter(), numbers.iter());
         for column in &mut self.data.columns {
             match &mut column.values {
-                Values::Labels(own) => own.push(labels.next().map(|label| (*label).to_owned()).unwrap_or_default()),
+                Values::Labels(own) => own.push(labels.next().map(|label| (*label).into()).unwrap_or_default()),
                 Values::Numbers(own) => own.push(numbers.next().copied().unwrap_or(f64::NAN)),
             }
         }

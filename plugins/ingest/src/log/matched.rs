@@ -324,7 +324,7 @@ impl Matching<'_> {
         };
         let labels = |name: &str, of: &dyn Fn(&Row) -> u32| Column {
             header: ColumnHeader::parse(name),
-            values: Values::Labels(rows.iter().map(|row| of(row).to_string()).collect()),
+            values: Values::Labels(rows.iter().map(|row| of(row).to_string().into()).collect()),
         };
         let mut columns = vec![labels("touch", &|row| row.number)];
         if self.wanted.repeats == Repeats::Keep {

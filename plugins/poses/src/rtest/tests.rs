@@ -26,7 +26,7 @@ fn observed(chain: &str, rows: &str, directions: &str) -> Result<Problem, String
     let made = || {
         let data = Arc::new(abbe_table::read(&folder.path().join("rows.csv"))?);
         artefact.check(&data.headers(), data.files.first(), model.as_ref())?;
-        let sets = vec![ObservationSet::new("ball", artefact.observe(&data, model.as_ref())?)];
+        let sets = vec![ObservationSet::new("ball", artefact.observe(&data, &model)?)];
         Problem::new(
             "fit",
             "serial-chain",

@@ -10,7 +10,7 @@ fn data(rows: &[(&str, f64)]) -> Dataset {
     let column = |header: &str, values| Column { header: ColumnHeader::parse(header), values };
     Dataset {
         columns: vec![
-            column("day", Values::Labels(rows.iter().map(|row| row.0.to_owned()).collect())),
+            column("day", Values::Labels(rows.iter().map(|row| row.0.into()).collect())),
             column("time_s", Values::Numbers(rows.iter().map(|row| row.1).collect())),
         ],
         origins: (0..rows.len()).map(|row| RowOrigin { file: 0, line: row + 2, row: row + 1 }).collect(),

@@ -1,6 +1,6 @@
 //! Rows that are shown some at a time: the results are those of rows that are held, to the last byte.
 
-use abbe_core::{DataRow, Passes};
+use abbe_core::{DataRow, LabelText, Passes};
 use nalgebra::{DMatrix, DVector};
 
 use super::*;
@@ -53,12 +53,12 @@ fn whatever_is_shown_at_a_time_bytes_are_the_same() {
 #[test]
 fn runs_and_turns_go_on_over_what_is_shown() {
     let mut random = Random(9);
-    let mut all: Option<(Dataset, Vec<String>)> = None;
+    let mut all: Option<(Dataset, Vec<LabelText>)> = None;
     let mut spindle = Simulated::new(&mut random, 5);
     for rpm in [300.0, 1200.0, 4800.0] {
         spindle.rpm = rpm;
         let set = random_run(&mut random, &spindle, 5.0, 70.0);
-        let labels = vec![format!("run-{rpm}"); set.rows()];
+        let labels = vec![format!("run-{rpm}").into(); set.rows()];
         match &mut all {
             Some((all, known)) => {
                 all.append(set).expect("the same columns");
@@ -82,7 +82,7 @@ fn runs_and_turns_go_on_over_what_is_shown() {
     }
     // The first run once more behind the others.
     let Values::Labels(labels) = &mut set.columns[5].values else { panic!("labels") };
-    labels.last_mut().expect("a row").replace_range(.., "run-300");
+    *labels.last_mut().expect("a row") = "run-300".into();
     let [held, found] = [usize::MAX, 10].map(|rows| in_passes(&settings, &[&set], rows).unwrap_err().to_string());
     assert!(held.contains("the run `run-300` goes on here") && found == held, "{found}");
 }

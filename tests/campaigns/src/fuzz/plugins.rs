@@ -32,7 +32,7 @@ fn documented() -> Vec<Vec<u8>> {
 }
 
 /// Observations of [`LENGTHS`].
-fn observed(machine: &dyn KinematicModel) -> Arc<dyn Observations> {
+fn observed(machine: &Arc<dyn KinematicModel>) -> Arc<dyn Observations> {
     let data = abbe_table::parse(Path::new("lengths.csv"), LENGTHS.as_bytes()).expect("a table");
     let registry = Registry::built_in().expect("plugins");
     let plugin = registry.find(Kind::Artefact, "length").expect("an artefact");
@@ -45,7 +45,7 @@ fn observed(machine: &dyn KinematicModel) -> Arc<dyn Observations> {
 /// Questions of a plugin about a machine and observations that it was lent.
 fn questions() -> Target {
     let (machine, _) = machine();
-    let observed = observed(machine.as_ref());
+    let observed = observed(&machine);
     let seeds = trials::questions(machine.as_ref(), observed.as_ref());
     Target::new("plugin-question", seeds, move |input| trials::question(input, &machine, &observed))
 }
