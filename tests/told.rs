@@ -346,3 +346,80 @@ fn columns_of_two_axes_that_are_exchanged_are_told() {
         assert!(is_told, "{one} {other}: {told:?}");
     }
 }
+
+/// What a fit of changed rows is told of.
+fn told_of(recipe: &str, stage: &str, change: impl Fn(&Path, &Path) -> PathBuf) -> String {
+    let (folder, mut recipe) = (temporary(), Variant::of(&recipes()[recipe]));
+    let file = recipe.path(stage, "path");
+    recipe.stage(stage)["path"] = json!(change(&file, folder.path()));
+    said(&recipe)
+}
+
+/// All limits are kept, and the scale of Y is off by 100 standard uncertainties.
+#[test]
+fn channels_that_are_exchanged_are_told() {
+    let words = "are these columns exchanged?";
+    for recipe in ["standards-rtest", "standards-rtest-exact"] {
+        assert!(!said(&Variant::of(&recipes()[recipe])).contains(words), "{recipe}");
+        let told = told_of(recipe, "c-turns", |file, folder| exchanged(file, folder, "meas_x_um", "meas_y_um"));
+        assert!(told.contains("with `meas_x`, `meas_y` exchanged") && told.contains(words), "{recipe}: {told}");
+    }
+}
+
+#[test]
+fn a_minus_that_is_lost_in_half_of_the_rows_is_told() {
+    let words = "is their minus lost?";
+    let abs = |from: usize| {
+        move |row: usize, cell: &str| {
+            if row >= from { cell.trim_start_matches('-').to_owned() } else { cell.to_owned() }
+        }
+    };
+    assert!(!said(&Variant::of(&recipes()["standards-rtest"])).contains(words));
+    let told = told_of("standards-rtest", "c-turns", |file, folder| changed(file, folder, "meas_z_um", abs(25)));
+    assert!(told.contains("of `meas_z`") && told.contains(words), "{told}");
+}
+
+#[test]
+fn degrees_and_minutes_for_decimal_degrees_are_told() {
+    let words = "are these degrees and minutes?";
+    let minutes = |_: usize, cell: &str| {
+        let angle: f64 = cell.parse().expect("an angle");
+        let seconds = (angle.abs() * 3600.0).floor() as u64;
+        let decimal = format!("{}.{:02}{:02}", seconds / 3600, seconds / 60 % 60, seconds % 60);
+        if angle < 0.0 { format!("-{decimal}") } else { decimal }
+    };
+    let recipe = Variant::of(&recipes()["ballbar-c600u"]).only(&["fit"]);
+    assert!(!said(&recipe).contains(words));
+    for test in [0, 1] {
+        let (folder, mut recipe) = (temporary(), recipe.clone());
+        let file = PathBuf::from(recipe.stage("samples")["tests"][test]["file"].as_str().expect("a path"));
+        recipe.stage("samples")["tests"][test]["file"] = json!(changed(&file, folder.path(), "A_deg", minutes));
+        assert!(said(&recipe).contains(words), "{test}");
+    }
+}
+
+/// The last cell of a file that was cut off: a position that is 0.9 mm or 320 mm off.
+#[test]
+fn a_row_that_was_cut_off_is_named() {
+    for (kept, is_refused) in [(3, false), (1, true)] {
+        let cut = |row: usize, cell: &str| if row == 149 { cell[..kept].to_owned() } else { cell.to_owned() };
+        let told = told_of("robot-ur5", "poses", |file, folder| changed(file, folder, "z_mm", cut));
+        assert!(told.contains("poses.csv:151 the residuals scatter"), "{told}");
+        assert!(!told.contains("probe_offset_mm"), "{told}");
+        assert_eq!(told.contains("no machine has such errors"), is_refused, "{told}");
+    }
+    assert!(!said(&Variant::of(&recipes()["robot-ur5"])).contains("is this row right?"));
+}
+
+/// What an artefact is off by is no length of a stylus.
+#[test]
+fn a_place_with_the_other_sign_is_named() {
+    let told = {
+        let (folder, mut recipe) = (temporary(), Variant::of(&recipes()["mfb-ucp710"]).only(&["fit-sphere"]));
+        let file = recipe.path("sphere-once", "nominal");
+        recipe.stage("sphere-once")["nominal"] = json!(changed(&file, folder.path(), "x_mm", times(-1.0)));
+        said(&recipe)
+    };
+    assert!(!told.contains("styli.3"), "{told}");
+    assert!(told.contains("twice, as with a wrong sign of, `nominal x of 1 in sphere-once` (-148 mm)"), "{told}");
+}

@@ -1,7 +1,7 @@
 //! What is hard to believe of a fit: for its heading in the summary.
 
 use abbe_core::{Fit, Quantity};
-use abbe_estimation::{copied_runs, gathered_outliers, quiet_channels};
+use abbe_estimation::{copied_runs, doubtful_row, gathered_outliers, quiet_channels};
 
 use crate::number::short;
 use crate::record::Remark;
@@ -82,6 +82,7 @@ pub fn doubts(all: &[Fit]) -> Option<String> {
         .chain(all.iter().flat_map(files::too_bad))
         .chain(all.iter().flat_map(copied))
         .chain(all.iter().filter_map(too_many_outliers))
+        .chain(all.iter().filter_map(spoiled))
         .chain(all.iter().flat_map(gathered))
         .chain(all.iter().filter_map(contradicted))
         .chain(all.iter().filter_map(disagreeing))
@@ -183,6 +184,12 @@ fn quiet(fit: &Fit) -> Vec<String> {
 fn gathered(fit: &Fit) -> Vec<String> {
     let found = gathered_outliers(&fit.problem, &fit.calibration);
     found.into_iter().map(|found| format!("  {}: {found}\n", fit.name)).collect()
+}
+
+/// One row that spoils a fit. Robust weights have left it out, and listed it.
+fn spoiled(fit: &Fit) -> Option<String> {
+    let found = doubtful_row(&fit.problem).filter(|_| fit.calibration.outliers.is_empty())?;
+    Some(format!("  {}: {found}\n", fit.name))
 }
 
 /// Part of the rows above which outliers are no gross errors any more.

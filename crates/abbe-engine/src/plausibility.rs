@@ -11,7 +11,7 @@ use abbe_core::{
 };
 use abbe_estimation::{
     LargeError, absurd_error, contradicted, dead_channels, implausible_errors, large_errors, likely_causes,
-    likely_mistakes, opposite_factor,
+    likely_mistakes, opposite_factor, spoiling_row,
 };
 use abbe_recipe::Stage;
 
@@ -81,6 +81,14 @@ impl Prepared {
                 continue;
             };
             // Rows that lie in parts are not at hand: nothing can be tried.
+            let row = (fit.problem.equations() > 0).then(|| spoiling_row(&fit.problem, plausible)).flatten();
+            if let Some(row) = row {
+                // What errors look like is no cause where one row makes them.
+                let error = implausible_error(worst, &large, [row].into_iter(), WRONG_DATA);
+                fit.calibration.fit.implausible = large.iter().map(record).collect();
+                failures.push(Failure::own(stage, self.recipe.locate(error.stage(&stage.name))));
+                continue;
+            }
             let tried =
                 if fit.problem.equations() == 0 { Ok(Vec::new()) } else { likely_mistakes(&fit.problem, plausible) };
             let mistakes = match tried {

@@ -24,6 +24,9 @@ pub fn likely_causes(problem: &Problem, calibration: &Calibration, large: &[Larg
         let is_tool = TOOL.contains(&large.unknown.name.as_str());
         let cause = match large.unknown.unit.of {
             Quantity::Length if is_tool => cause(large.size, &of_tool(&numbers)),
+            Quantity::Length if TABLE.contains(&large.unknown.name.as_str()) => {
+                cause(large.size, &of_table(problem, &large.unknown.name, &numbers))
+            }
             Quantity::Length if large.unknown.unit.per.is_none() => cause(large.size, &numbers),
             _ => None,
         };
@@ -53,6 +56,26 @@ fn of_tool(numbers: &[(String, f64)]) -> Vec<(String, f64)> {
     numbers.iter().filter(is_of_tool).cloned().collect()
 }
 
+/// Errors of where the artefacts stand on the table, in the order of x, y and z.
+const TABLE: [&str; 3] = ["dxw", "dyw", "dzw"];
+
+/// The numbers that say where features are: their nominal places along this direction, and those of settings that say nothing of the
+/// tool.
+fn of_table(problem: &Problem, name: &str, numbers: &[(String, f64)]) -> Vec<(String, f64)> {
+    let is_of_tool = |name: &str| {
+        name.starts_with("styli") || ["tool_length", "stylus", "probe", "tip_mm"].iter().any(|own| name.contains(own))
+    };
+    let direction = TABLE.iter().position(|own| *own == name).unwrap_or_default();
+    let places = problem.sets.iter().flat_map(|set| {
+        set.info().features.iter().map(move |feature| {
+            let name = format!("nominal {} of {} in {}", ["x", "y", "z"][direction], feature.label, set.name);
+            (name, feature.point[direction])
+        })
+    });
+    let settings = numbers.iter().filter(|(name, _)| !is_of_tool(name)).cloned();
+    places.filter(|(_, place)| *place != 0.0).chain(settings).collect()
+}
+
 /// What a length is as large as among the numbers of the set-up.
 fn cause(size: f64, numbers: &[(String, f64)]) -> Option<String> {
     let ways = [
@@ -62,13 +85,17 @@ fn cause(size: f64, numbers: &[(String, f64)]) -> Option<String> {
         (24.4, "what is missing if inches were taken for mm in"),
         (1.0 - 1.0 / 25.4, "what is too much if mm were taken for inches in"),
     ];
-    ways.iter().find_map(|(factor, way)| {
-        let like = |(name, number): &&(String, f64)| {
-            let may_be = *factor != HALF || name.contains("radius");
-            may_be && (size.abs() / (number.abs() * factor) - 1.0).abs() < ALIKE
-        };
-        numbers.iter().find(like).map(|(name, number)| format!("{way} `{name}` ({number} mm)"))
-    })
+    let mut best: Option<(f64, String)> = None;
+    for (factor, way) in ways {
+        for (name, number) in numbers {
+            let may_be = factor != HALF || name.contains("radius");
+            let off = (size.abs() / (number.abs() * factor) - 1.0).abs();
+            if may_be && off < ALIKE && best.as_ref().is_none_or(|(least, _)| off < *least) {
+                best = Some((off, format!("{way} `{name}` ({number} mm)")));
+            }
+        }
+    }
+    best.map(|(_, words)| words)
 }
 
 /// The lengths of settings that are not zero, by the keys that lead to them.
@@ -159,4 +186,19 @@ fn apart(set: &str, names: &[&str], off: &[f64]) -> Option<String> {
 /// The last part of the name of a feature's unknown: `d` of `facet[7].d`.
 fn kind(name: &str) -> Option<&str> {
     name.rsplit_once("].").map(|(_, kind)| kind)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A length that is twice a place to the micrometre is not as large as a length that is 1 % beside it.
+    #[test]
+    fn the_number_that_is_nearest_is_named() {
+        let numbers = [("styli.3.tip_mm".to_owned(), -300.0), ("nominal x of 1 in sphere".to_owned(), -148.0)];
+        let expected = "twice, as with a wrong sign of, `nominal x of 1 in sphere` (-148 mm)";
+        assert_eq!(cause(296.01, &numbers).as_deref(), Some(expected));
+        assert_eq!(cause(-301.0, &numbers).as_deref(), Some("as large as `styli.3.tip_mm` (-300 mm)"));
+        assert_eq!(cause(250.0, &numbers), None);
+    }
 }

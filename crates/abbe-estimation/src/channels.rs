@@ -20,7 +20,7 @@ pub(crate) fn channels_of(set: &ObservationSet) -> Vec<String> {
 }
 
 /// Rows of a data set by file.
-fn by_file(set: &ObservationSet) -> BTreeMap<usize, Vec<DataRow>> {
+pub(crate) fn by_file(set: &ObservationSet) -> BTreeMap<usize, Vec<DataRow>> {
     let layout = &set.info().layout;
     let mut files: BTreeMap<usize, Vec<DataRow>> = BTreeMap::new();
     for row in set.rows.iter().filter_map(|&row| layout.rows[row].data_row) {

@@ -13,7 +13,10 @@ use crate::channels::doubtful_channels;
 use crate::copies::repeated;
 use crate::directions::turned;
 use crate::exchanged::exchanged;
+use crate::exchanged_channels::exchanged_channels;
 use crate::instruments::instruments;
+use crate::lost_signs::lost_signs;
+use crate::minutes::minutes;
 use crate::places::exchanged_places;
 use crate::planned::planned;
 use crate::row_order::contradicted_by_order;
@@ -37,6 +40,7 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks.extend(missed(problem));
     remarks.extend(exchanged_places(problem));
     remarks.extend(planned(problem));
+    remarks.extend(minutes(problem));
     remarks.extend(tilted_probe(problem));
     remarks.extend(turned(problem));
     remarks.extend(contradicted_by_order(problem));
@@ -46,7 +50,10 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
 /// Sentences on readings whose signs, and on columns whose places, the rest of the rows contradicts: other fits of the same rows tell.
 /// They come after the fit itself, so that a machine that fails at other values fails there.
 pub fn comparisons(problem: &Problem) -> Vec<String> {
-    turned_readings(problem).into_iter().chain(exchanged(problem)).collect()
+    // A turned sign explains much of an exchange, and an exchange of a turned sign: the better one is told.
+    let readings = [turned_readings(problem), exchanged_channels(problem), lost_signs(problem)].into_iter().flatten();
+    let best = readings.min_by(|one, other| one.squares.total_cmp(&other.squares));
+    best.map(|best| best.words).into_iter().chain(exchanged(problem)).collect()
 }
 
 /// Styli in the data that the model does not tell apart.

@@ -6,7 +6,7 @@ use abbe_core::{ObservationSet, Problem, SetIndex};
 use abbe_numerics::LeastSquares;
 
 use crate::channels::channels_of;
-use crate::compared::Fitted;
+use crate::compared::{Explained, Fitted};
 use crate::mistakes::spread;
 use crate::weighted::Weighted;
 
@@ -52,7 +52,7 @@ pub(crate) struct Reading {
 ///
 /// Residuals have the reading with a minus sign, so that a turned sign adds its double. All groups are tried in one factorisation, and
 /// the best is fitted.
-pub(crate) fn turned_readings(problem: &Problem) -> Option<String> {
+pub(crate) fn turned_readings(problem: &Problem) -> Option<Explained> {
     let few = spread(problem, ROWS);
     let groups = groups(&few);
     if groups.is_empty() {
@@ -71,15 +71,16 @@ pub(crate) fn turned_readings(problem: &Problem) -> Option<String> {
     let alike = explained.iter().skip(1).take_while(|((cost, _), _)| **cost <= most).take(NAMED);
     let others: String = alike.map(|((_, other), _)| format!(", or else of {},", other.words)).collect();
     let (before, after) = (Fitted::of(&few)?, Fitted::of(&few.disturbed(column))?);
-    group.explains(before, after).then(|| {
-        format!(
+    group.explains(before, after).then(|| Explained {
+        squares: after.squares,
+        words: format!(
             "{}: with the signs of {}{others} turned the residuals scatter {:.2} times as much as stated, and as they are {:.2} times as much: is the sign of these \
              readings right?",
             group.set,
             group.words,
             after.scatter(),
             before.scatter()
-        )
+        ),
     })
 }
 
@@ -101,7 +102,7 @@ impl Group {
 }
 
 /// What remains of the sum of squares of the residuals with each column added to them, and without any.
-fn costs(problem: &Problem, columns: &[Vec<f64>]) -> Option<(Vec<f64>, f64)> {
+pub(crate) fn costs(problem: &Problem, columns: &[Vec<f64>]) -> Option<(Vec<f64>, f64)> {
     let weighted = Weighted::with_columns(problem, columns).ok()?;
     let lines = weighted.factor(&problem.start(), None).ok()?.lines();
     let (own, all) = (problem.unknowns.len(), weighted.unknowns());
