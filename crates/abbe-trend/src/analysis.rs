@@ -94,9 +94,10 @@ pub enum State {
     InControl,
     /// It follows its declared regressor, and nothing else happens.
     Seasonal,
-    /// A lone alarm that neither the other charts nor the next test confirm.
+    /// A lone alarm that neither the other charts nor the next test confirm; or alarms that no form explains, where all tests together
+    /// scatter as chance makes.
     Unconfirmed,
-    /// Confirmed alarms, but no form explains them.
+    /// Confirmed alarms, and all tests together scatter more than chance makes, but no form explains them.
     Alarm,
     /// A change was decided for.
     Changed,
@@ -308,6 +309,7 @@ fn trend(tests: &[Test], series: &Series, limits: &ChartLimits, settings: &Setti
         .map(|((value, expected), uncertainty)| (value - expected) / uncertainty.hypot(of_target))
         .collect();
     let charts = Charts::of(&normalised, &settings.charts, limits);
+    let is_judged = decided.is_some();
     let (change, gain, left) = match decided {
         Some(Decided { change, gain, left }) => {
             let probability = if left.1 > 0 { chi_squared_upper_tail(left.0, left.1 as f64) } else { 1.0 };
@@ -319,8 +321,9 @@ fn trend(tests: &[Test], series: &Series, limits: &ChartLimits, settings: &Setti
     let clear =
         |seasonal: &Seasonal| seasonal.coefficient.value.abs() > 3.0 * seasonal.coefficient.standard_uncertainty;
     let state = match change {
-        Change::None if !charts.confirmed().is_empty() => State::Alarm,
-        Change::None if !charts.unconfirmed().is_empty() => State::Unconfirmed,
+        // Charts of many parameters over many tests give alarms by chance, and the next test may confirm them.
+        Change::None if charts.has_confirmed() && (!is_judged || left < settings.significance) => State::Alarm,
+        Change::None if charts.has_confirmed() || !charts.unconfirmed().is_empty() => State::Unconfirmed,
         Change::None if seasonal.as_ref().is_some_and(clear) => State::Seasonal,
         Change::None => State::InControl,
         _ => State::Changed,

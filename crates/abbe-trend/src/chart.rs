@@ -130,6 +130,11 @@ impl Charts {
         (0..self.alarms.len()).filter(alone).collect()
     }
 
+    /// Whether another chart or the next test confirms an alarm.
+    pub fn has_confirmed(&self) -> bool {
+        !self.confirmed().is_empty()
+    }
+
     /// Tests with an alarm that another chart or the next test confirms.
     pub fn confirmed(&self) -> Vec<usize> {
         let alone = self.unconfirmed();

@@ -121,14 +121,20 @@ pub fn sentences(history: &History, analysis: &Analysis) -> Vec<String> {
         let label = |place: &usize| analysis.tests[parameter.tests[*place]].label.as_str();
         let alone = parameter.charts.unconfirmed();
         let labels: Vec<&str> = alone.iter().map(label).collect();
+        let confirmed: Vec<&str> = parameter.charts.confirmed().iter().map(label).collect();
         match parameter.state {
+            State::Unconfirmed if !confirmed.is_empty() => told.push(format!(
+                "{} has an alarm in {unit} {}, and all its tests together scatter as chance makes: no change is told",
+                parameter.name,
+                confirmed.join(", ")
+            )),
             State::Unconfirmed => told.push(format!(
                 "{} has an unconfirmed alarm in {unit} {}: no other chart and no later test says so",
                 parameter.name,
                 labels.join(", ")
             )),
             State::Alarm => {
-                let first = parameter.charts.confirmed().first().map(label).unwrap_or_default().to_owned();
+                let first = confirmed.first().copied().unwrap_or_default();
                 told.push(format!(
                     "{} is in alarm from {unit} {first} on, but no step, line or settling explains it",
                     parameter.name

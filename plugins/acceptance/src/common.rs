@@ -158,6 +158,58 @@ const DISTINCT: usize = 5;
 /// Part of the readings that has to be copied to be told: a coarse instrument reads the same now and then.
 const COPIED: f64 = 0.2;
 
+/// How a reading lies to the one that it repeats: so many rows after it, or so that both rows have this sum.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Way {
+    Forwards(usize),
+    Backwards(usize),
+}
+
+/// Part of other readings within one digit of what they would repeat from which on digits are what repeats, and fewest of these.
+const WITHIN_DIGIT: f64 = 0.8;
+const OTHERS: usize = 10;
+
+/// Digits in the range of readings up to which these repeat where a machine scatters by less than a digit.
+const COARSE: f64 = 30.0;
+
+/// Whether readings repeat because their digits are coarser than the machine scatters: then others, too, are within a digit of the
+/// readings that lie to them as the repeated ones do. Of a copy they are not. Where nearly all repeat, few digits in their range tell.
+fn digits_explain(columns: &[&[f64]], copied: &BTreeSet<usize>, ways: &BTreeSet<Way>) -> bool {
+    let digits: Vec<(f64, f64)> = columns.iter().map(|column| digit_and_range(column)).collect();
+    let within = |row: usize, other: usize| {
+        let mut all = columns.iter().zip(&digits);
+        all.all(|(column, (digit, _))| (column[row] - column[other]).abs() <= 1.5 * digit)
+    };
+    let rows = columns.first().map_or(0, |column| column.len());
+    let (mut near, mut others) = (0_usize, 0_usize);
+    for way in ways {
+        for row in (0..rows).filter(|row| !copied.contains(row)) {
+            let other = match way {
+                Way::Forwards(apart) => row.checked_sub(*apart),
+                Way::Backwards(sum) => sum.checked_sub(row).filter(|other| *other < row),
+            };
+            if let Some(other) = other {
+                others += 1;
+                near += usize::from(within(row, other));
+            }
+        }
+    }
+    match others >= OTHERS {
+        true => near as f64 >= WITHIN_DIGIT * others as f64,
+        false => digits.iter().all(|(digit, range)| *range <= COARSE * digit),
+    }
+}
+
+/// The smallest difference of two readings that differ, and their range.
+fn digit_and_range(readings: &[f64]) -> (f64, f64) {
+    let mut sorted: Vec<f64> = readings.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let range = sorted.last().zip(sorted.first()).map_or(0.0, |(last, first)| last - first);
+    // Numbers of a file in other units are rounded.
+    let apart = sorted.windows(2).map(|pair| pair[1] - pair[0]).filter(|apart| *apart > 1e-9 * range);
+    (apart.fold(range, f64::min), range)
+}
+
 /// A remark on readings that are no measurement of their own: all the same, or stretches of them as others were, forwards or backwards.
 pub fn doubted(run: &str, columns: &[&[f64]]) -> Option<String> {
     let rows = columns.first().map_or(0, |column| column.len());
@@ -168,6 +220,7 @@ pub fn doubted(run: &str, columns: &[&[f64]]) -> Option<String> {
     }
     let mut first: BTreeMap<Vec<&Vec<u64>>, usize> = BTreeMap::new();
     let mut copied: BTreeSet<usize> = BTreeSet::new();
+    let mut ways: BTreeSet<Way> = BTreeSet::new();
     for start in 0..(rows + 1).saturating_sub(IN_TURN) {
         let stretch: Vec<&Vec<u64>> = readings[start..start + IN_TURN].iter().collect();
         // Coarse digits repeat in a slow motion.
@@ -175,11 +228,17 @@ pub fn doubted(run: &str, columns: &[&[f64]]) -> Option<String> {
             continue;
         }
         let reversed: Vec<&Vec<u64>> = stretch.iter().rev().copied().collect();
-        let earlier = |of: &Vec<&Vec<u64>>| first.get(of).is_some_and(|place| place + IN_TURN <= start);
-        if earlier(&stretch) || earlier(&reversed) {
+        let earlier = |of: &Vec<&Vec<u64>>| first.get(of).copied().filter(|place| place + IN_TURN <= start);
+        let found = earlier(&stretch).map(|place| Way::Forwards(start - place));
+        if let Some(way) = found.or_else(|| earlier(&reversed).map(|place| Way::Backwards(start + place + IN_TURN - 1)))
+        {
             copied.extend(start..start + IN_TURN);
+            ways.insert(way);
         }
         first.entry(stretch).or_insert(start);
+    }
+    if digits_explain(columns, &copied, &ways) {
+        return None;
     }
     (copied.len() >= 10 && copied.len() as f64 >= COPIED * rows as f64).then(|| {
         format!(
@@ -273,5 +332,48 @@ impl<T: Acceptance> Validate for Judge<T> {
 
     fn validate(&self, _: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
         if data.is_empty() { Err(no_data()) } else { self.0.findings(data) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use abbe_numerics::Generator;
+
+    use super::*;
+
+    /// Runs to and fro over eleven positions, in the order in which they were measured: a curve, lost motion, scatter, digits; µm.
+    fn runs(random: &mut Generator, runs: usize, (scatter, digit): (f64, f64)) -> Vec<f64> {
+        let mut number = |size: f64| size * random.uniform() / 3.0_f64.sqrt();
+        let curve: Vec<f64> = (0..11).map(|place| number(4.0) + 0.8 * f64::from(place)).collect();
+        let lost = number(2.0);
+        let mut all = Vec::new();
+        for _ in 0..runs {
+            all.extend(curve.iter().map(|value| value + number(2.0 * scatter)));
+            all.extend(curve.iter().rev().map(|value| value + lost + number(2.0 * scatter)));
+        }
+        all.into_iter().map(|value: f64| (value / digit).round() * digit).collect()
+    }
+
+    #[test]
+    fn coarse_digits_are_no_copies() {
+        for seed in 0..600 {
+            let scatter = [0.05, 0.1, 0.2, 0.3, 0.5][seed as usize % 5];
+            let digit = [1.0, 0.5, 2.0][seed as usize / 5 % 3];
+            let readings = runs(&mut Generator::new(seed, 71), 5, (scatter, digit));
+            assert_eq!(doubted("X", &[&readings]), None, "{seed}: {scatter} {digit}");
+        }
+    }
+
+    #[test]
+    fn a_run_that_is_another_one_is_told() {
+        let mut told = 0;
+        for seed in 0..300 {
+            let mut random = Generator::new(seed, 72);
+            let mut readings = runs(&mut random, 5, (0.5, 0.1));
+            let (from, to) = [(0, 44), (22, 88), (44, 66)][seed as usize % 3];
+            readings.copy_within(from..from + 22, to);
+            told += usize::from(doubted("X", &[&readings]).is_some());
+        }
+        assert!(told >= 297, "{told} of 300");
     }
 }
