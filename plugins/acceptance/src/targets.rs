@@ -9,7 +9,9 @@ use abbe_standards::positioning::plan::Axis;
 
 use crate::both_directions::{mirrored, smaller_direction};
 use crate::common::{copied_repeats, directions, faults, finite, no_data, run_name};
+use crate::copied_run::copied_run;
 use crate::displaced::{InOrder, OfRun, run_off};
+use crate::row_directions::Rows;
 use crate::sign_change::sign_change;
 
 /// Positions that are no farther apart are one target: mm or degrees.
@@ -32,6 +34,8 @@ pub struct Readings {
     /// Whether the rows of both directions run against them, and whether all run with them.
     is_turned: bool,
     runs_both_ways: bool,
+    /// What the order of rows says of single runs, and of positions.
+    of_order: Vec<String>,
     /// Whether each row is in the positive direction, and its target.
     ways: Vec<bool>,
     places: Vec<usize>,
@@ -107,6 +111,11 @@ impl Readings {
             .map(|row| (ways[row], (positions[row] - positions[row - 1]) * scale));
         let is_turned = run_against_directions(steps.clone());
         let runs_both_ways = run_against_directions(steps.map(|(way, step)| (way, -step)));
+        let along: Vec<f64> = positions.iter().map(|position| position * scale).collect();
+        let of_order = runs.map_or_else(Vec::new, |runs| {
+            let labels: Vec<String> = data.row_indices().map(|row| runs[row].clone()).collect();
+            Rows { runs: &labels, ways: &ways, positions: &along }.faults()
+        });
         let places = positions.iter().map(|position| places[&(position * scale).to_bits()]).collect();
         Ok(Self {
             name: run_name(data),
@@ -117,6 +126,7 @@ impl Readings {
             runs: of_runs,
             is_turned,
             runs_both_ways,
+            of_order,
             ways,
             places,
         })
@@ -128,7 +138,8 @@ impl Readings {
         let found = faults(&[("reading", &self.in_order)], 0.0, (1.0, self.unit));
         let groups: Vec<Vec<f64>> =
             self.targets.iter().flat_map(|target| [target.up.clone(), target.down.clone()]).collect();
-        let copied = copied_repeats("targets", &groups).filter(|_| !is_told && found.is_empty());
+        let copied = copied_repeats("targets", &groups).or_else(|| self.copied_run());
+        let copied = copied.filter(|_| !is_told && found.is_empty());
         let turned = self.is_turned.then(|| {
             "rows with `direction` 1 run to smaller positions, and those with -1 to larger ones: has `position` the wrong sign, or \
              `direction`?"
@@ -139,7 +150,16 @@ impl Readings {
             self.turned_run().or_else(|| self.turned_from_a_row()).or_else(|| mirrored(&self.means(), self.unit));
         let displaced =
             if signs.is_some() { None } else { self.displaced_run() }.into_iter().chain(self.displaced_rows());
-        found.into_iter().chain(copied).chain(turned).chain(smaller).chain(signs).chain(displaced).collect()
+        let of_order = self.of_order.iter().cloned();
+        found
+            .into_iter()
+            .chain(copied)
+            .chain(turned)
+            .chain(of_order)
+            .chain(smaller)
+            .chain(signs)
+            .chain(displaced)
+            .collect()
     }
 
     /// Mean readings up and down of the targets that have both.
@@ -184,6 +204,16 @@ impl Readings {
     /// The step of the digits of readings; zero if they have none.
     fn digit(&self) -> f64 {
         resolution(&self.in_order).unwrap_or(0.0)
+    }
+
+    /// A run that is there once more under another number, in words.
+    fn copied_run(&self) -> Option<String> {
+        let runs: Vec<&OfRun> = self.runs.iter().map(|(_, readings)| readings).collect();
+        let [one, other] = copied_run(&runs, self.digit())?.map(|run| &self.runs[run].0);
+        Some(format!(
+            "all readings of run {other} are those of run {one} to the last digit, and no two other runs are near that: is it a copy? Then \
+             repeatability is not that of the machine"
+        ))
     }
 
     /// A run that is off as a whole, in words.

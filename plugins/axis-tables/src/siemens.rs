@@ -193,8 +193,8 @@ impl Siemens {
         let (own, cross): (Vec<AxisTable>, Vec<AxisTable>) =
             known.sag.into_iter().partition(|table| table.input == table.output);
         let (existing, kept) = match self.settings.positioning_by {
-            PositioningBy::Cec => ([own, cross].concat(), InFile { encoder: known.encoder, sag: Vec::new() }),
-            PositioningBy::Eec => ([known.encoder, cross].concat(), InFile { encoder: Vec::new(), sag: own }),
+            PositioningBy::Cec => ([own, cross].concat(), InFile { encoder: known.encoder, ..InFile::default() }),
+            PositioningBy::Eec => ([known.encoder, cross].concat(), InFile { sag: own, ..InFile::default() }),
         };
         let limits =
             Limits { points: self.settings.most_points, decimals: DECIMALS, cross: Pairs::All, same_points: false };

@@ -1,7 +1,7 @@
 //! Reads tables of SINUMERIK: `$AA_ENC_COMP` and `$AN_CEC`.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use abbe_compensation::AxisTable;
 use abbe_compensation::active::Believed;
@@ -17,6 +17,8 @@ pub struct Tables {
     pub encoder: Vec<AxisTable>,
     /// `$AN_CEC`.
     pub sag: Vec<AxisTable>,
+    /// Each table by itself, with the file where it stands.
+    pub read: Vec<(PathBuf, AxisTable)>,
 }
 
 /// One table of a file: variables by name, values by point.
@@ -41,6 +43,7 @@ pub fn read(
 ) -> Result<()> {
     // Encoder tables by encoder and axis, the others by their index.
     let mut raw: BTreeMap<(bool, String), Raw> = BTreeMap::new();
+    let before = found.read.len();
     for (line, text) in text(path)?.lines().enumerate() {
         let text = text.split(';').next().unwrap_or_default().trim();
         let Some((name, value)) = text.split_once('=').filter(|_| text.starts_with('$')) else { continue };
@@ -83,15 +86,21 @@ pub fn read(
         let axis = name.split_once(',').map(|(_, axis)| axis.to_owned());
         let fails = |message: String| wrong(path, raw.line, message);
         let axis_of = |variable: &str| {
-            let name = axis.as_ref().or_else(|| raw.axes.get(variable));
-            let name = name.ok_or_else(|| fails(format!("table {name:?} has no `{variable}`")))?;
-            machine_axis(name).ok_or_else(|| fails(format!("`machine_axes` does not name {name}")))
+            let named = axis.as_ref().or_else(|| raw.axes.get(variable));
+            let of_table = || fails(format!("table {name} has no `{variable}`: is the file whole?"));
+            let named = named.ok_or_else(of_table)?;
+            machine_axis(named).ok_or_else(|| fails(format!("`machine_axes` does not name {named}")))
         };
         let (input, output) = (axis_of("_INPUT_AXIS")?, axis_of("_OUTPUT_AXIS")?);
         let table = table(&raw, input, output, model).map_err(fails)?;
         let line = |point: usize| raw.values.get(&point).map_or(raw.line, |(line, _)| *line);
         let lines: Vec<usize> = (0..table.positions.len()).map(line).collect();
         Placed { table: &table, lines: [&lines, &lines] }.check(believed, path, model)?;
+        if let Some(other) = same(&table, &found.read[..before]) {
+            let message = format!("this table stands in `{}`, too, and would be added twice", other.display());
+            return Err(wrong(path, raw.line, message).help("name each table that is active once in `existing`"));
+        }
+        found.read.push((path.to_owned(), table.clone()));
         let list = if is_encoder { &mut found.encoder } else { &mut found.sag };
         match list.iter_mut().find(|other| other.is_for_same_axes(&table)) {
             Some(other) => {
@@ -103,6 +112,12 @@ pub fn read(
         }
     }
     Ok(())
+}
+
+/// The earlier file that has the same table; tables of nothing but zeros add nothing.
+fn same<'a>(table: &AxisTable, before: &'a [(PathBuf, AxisTable)]) -> Option<&'a Path> {
+    let corrects = table.forward.iter().chain(&table.reverse).any(|value| *value != 0.0);
+    before.iter().find(|(_, other)| corrects && other == table).map(|(path, _)| path.as_path())
 }
 
 fn table(raw: &Raw, input: usize, output: usize, model: &dyn KinematicModel) -> Result<AxisTable, String> {
@@ -126,4 +141,29 @@ fn table(raw: &Raw, input: usize, output: usize, model: &dyn KinematicModel) -> 
     let (forward, reverse) = (where_used(direction >= 0.0), where_used(direction <= 0.0));
     let repeats = number("_IS_MODULO").is_some_and(|modulo| modulo != 0.0);
     Ok(AxisTable { input, output, positions, forward, reverse, repeats })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tables_that_stand_in_two_files_are_the_same_unless_they_are_empty() {
+        let table = |values: [f64; 2]| AxisTable {
+            positions: vec![0.0, 100.0],
+            forward: values.to_vec(),
+            reverse: values.to_vec(),
+            ..AxisTable::default()
+        };
+        let before =
+            [(PathBuf::from("zeros.ini"), table([0.0, 0.0])), (PathBuf::from("cec.ini"), table([0.001, 0.002]))];
+        assert_eq!(same(&table([0.001, 0.002]), &before), Some(Path::new("cec.ini")));
+        // What one file adds to another one.
+        assert_eq!(same(&table([0.001, 0.0021]), &before), None);
+        assert_eq!(same(&table([0.0, 0.0]), &before), None);
+        // A table of one direction beside that of the other.
+        let mut forward = table([0.001, 0.002]);
+        forward.reverse = vec![0.0; 2];
+        assert_eq!(same(&forward, &before), None);
+    }
 }
