@@ -113,7 +113,7 @@ impl Readings {
         let runs_both_ways = run_against_directions(steps.map(|(way, step)| (way, -step)));
         let along: Vec<f64> = positions.iter().map(|position| position * scale).collect();
         let of_order = runs.map_or_else(Vec::new, |runs| {
-            let labels: Vec<String> = data.row_indices().map(|row| runs[row].clone()).collect();
+            let labels: Vec<String> = data.row_indices().map(|row| runs[row].to_string()).collect();
             Rows { runs: &labels, ways: &ways, positions: &along }.faults()
         });
         let places = positions.iter().map(|position| places[&(position * scale).to_bits()]).collect();
