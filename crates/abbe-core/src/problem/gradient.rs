@@ -25,8 +25,8 @@ impl Problem {
     /// The sum of the derivatives of each equation to the unknowns at `x`, times what its residual (mm or rad) counts for; and the
     /// residuals, in the order of the equations.
     ///
-    /// Of residuals that count for `residual / uncertainty^2` it is half of the gradient of the weighted sum of squares. It takes less than
-    /// half of the time of [`linearise`](Self::linearise) where there are many unknowns.
+    /// Of residuals that count for `residual / uncertainty^2` it is half of the gradient of the weighted sum of squares, in the inverse units
+    /// of the unknowns: what [`linearise`](Self::linearise) tells, without its rows. Fails as that does.
     pub fn gradient(&self, x: &[f64], counts: &Counts<'_>) -> Result<(Vec<f64>, Vec<f64>)> {
         let at = self.with_values(x);
         let (columns, mut first) = (Columns::of(self), EquationIndex(0));
