@@ -97,7 +97,8 @@ pub enum State {
     /// A lone alarm that neither the other charts nor the next test confirm; or alarms that no form explains, where all tests together
     /// scatter as chance makes.
     Unconfirmed,
-    /// Confirmed alarms, and all tests together scatter more than chance makes, but no form explains them.
+    /// Alarms that no form explains, where all tests together scatter more than chance makes. Where neither another chart nor the next
+    /// test confirms them, the other tests have to do so without the farthest one.
     Alarm,
     /// A change was decided for.
     Changed,
@@ -309,12 +310,12 @@ fn trend(tests: &[Test], series: &Series, limits: &ChartLimits, settings: &Setti
         .map(|((value, expected), uncertainty)| (value - expected) / uncertainty.hypot(of_target))
         .collect();
     let charts = Charts::of(&normalised, &settings.charts, limits);
-    let is_judged = decided.is_some();
+    let scatters = decided.as_ref().is_none_or(|decided| by_chance(decided.left) < settings.significance);
+    let others_scatter = decided.as_ref().is_some_and(|decided| {
+        by_chance(without_farthest(decided.left, &charts.normalised)) < settings.significance
+    });
     let (change, gain, left) = match decided {
-        Some(Decided { change, gain, left }) => {
-            let probability = if left.1 > 0 { chi_squared_upper_tail(left.0, left.1 as f64) } else { 1.0 };
-            (change, gain, probability)
-        }
+        Some(Decided { change, gain, left }) => (change, gain, by_chance(left)),
         None => (Change::None, 0.0, 1.0),
     };
     let change = of_tests(change, &good.tests);
@@ -322,7 +323,8 @@ fn trend(tests: &[Test], series: &Series, limits: &ChartLimits, settings: &Setti
         |seasonal: &Seasonal| seasonal.coefficient.value.abs() > 3.0 * seasonal.coefficient.standard_uncertainty;
     let state = match change {
         // Charts of many parameters over many tests give alarms by chance, and the next test may confirm them.
-        Change::None if charts.has_confirmed() && (!is_judged || left < settings.significance) => State::Alarm,
+        Change::None if charts.has_confirmed() && scatters => State::Alarm,
+        Change::None if !charts.unconfirmed().is_empty() && others_scatter => State::Alarm,
         Change::None if charts.has_confirmed() || !charts.unconfirmed().is_empty() => State::Unconfirmed,
         Change::None if seasonal.as_ref().is_some_and(clear) => State::Seasonal,
         Change::None => State::InControl,
@@ -345,6 +347,17 @@ fn trend(tests: &[Test], series: &Series, limits: &ChartLimits, settings: &Setti
         again,
         derived: series.derived,
     })
+}
+
+/// Probability that chance makes so large a chi-squared, with its degrees of freedom, or a larger one.
+fn by_chance((chi_squared, freedom): (f64, usize)) -> f64 {
+    if freedom > 0 { chi_squared_upper_tail(chi_squared, freedom as f64) } else { 1.0 }
+}
+
+/// Chi-squared and degrees of freedom without the test that is farthest off.
+fn without_farthest((chi_squared, freedom): (f64, usize), normalised: &[f64]) -> (f64, usize) {
+    let farthest = normalised.iter().map(|z| z * z).fold(0.0, f64::max);
+    ((chi_squared - farthest).max(0.0), freedom.saturating_sub(1))
 }
 
 /// The weighted mean of the first tests.

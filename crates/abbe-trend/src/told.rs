@@ -134,7 +134,7 @@ pub fn sentences(history: &History, analysis: &Analysis) -> Vec<String> {
                 labels.join(", ")
             )),
             State::Alarm => {
-                let first = confirmed.first().copied().unwrap_or_default();
+                let first = confirmed.first().or(labels.first()).copied().unwrap_or_default();
                 told.push(format!(
                     "{} is in alarm from {unit} {first} on, but no step, line or settling explains it",
                     parameter.name
