@@ -87,7 +87,8 @@ fn shared(problem: &Problem) -> Vec<String> {
     let (mut first, mut pairs) = (BTreeMap::new(), BTreeMap::new());
     for ((set, row), residuals) in rows {
         let Some((file, origin)) = problem.origin(set, row) else { continue };
-        let other = *first.entry((file, origin.row, residuals)).or_insert(set);
+        // Residuals first: they hardly ever agree, and paths take long to compare.
+        let other = *first.entry((residuals, origin.row, file)).or_insert(set);
         if other != set {
             *pairs.entry((other, set)).or_insert(0) += 1;
         }

@@ -167,7 +167,7 @@ pub struct Solution<F = Factor> {
 /// Minimises the sum of squares from `start`; see [`Options`].
 ///
 /// Every step is that of the linearised problem, columns scaled, and is halved while it does not make the sum of squares smaller, or leads
-/// to where nothing can be evaluated. Steps after one below 1e-5 take the triangle from before it where that is faster.
+/// to where nothing can be evaluated. Where the sum changes by less than its rounding, what is left has to become smaller. Steps after one below 1e-5 take the triangle from before it where that is faster.
 ///
 /// Fails if the start cannot be evaluated. Fails with the last error if no part of a step can be evaluated, and at once with
 /// an error that is final ([`LeastSquares::is_final`]), unless the time is over and there is an iterate.
@@ -266,7 +266,7 @@ pub(crate) fn minimise<P: Descent + ?Sized>(
         }
         smallest = smallest.min(size);
         let keeps = weights.is_none() && size <= SAME_TRIANGLE;
-        let lower = match downhill(problem, (&x, &step), (&factor, keeps), weights) {
+        let lower = match downhill(problem, (&x, &step, size), (&factor, keeps), weights) {
             Err(error) if problem.is_late(&error) => {
                 return Ok(Minimum { x, end: End::TimeLimit, iterations: iterations - 1, last_step: size, factor });
             }
@@ -325,11 +325,23 @@ const TRIALS: usize = 3;
 /// that the iteration is slow.
 const CUT: f64 = 1e-6;
 
-/// The first of a step from x, its half, its quarter and so on that does not make the sum of squares larger than that of `factor`, with
-/// the factor there and the part that it is; None if no part does. With `keeps`, the whole step may keep the triangle of `factor`.
+/// Part of a sum of squares by which its rounding may raise it: positions of metres in units of a tenth of a micrometre have seven digits
+/// before the point, and residuals nine behind it.
+const ROUNDING_OF_COST: f64 = 1e-9;
+
+/// Whether a place with this factor is lower than one with this sum of squares, from which a step of this size leads towards it. Small
+/// steps change the sum by less than its rounding: there it is lower if a smaller step is left.
+fn is_lower(factor: &impl Steps, cost: f64, size: f64) -> bool {
+    let raised = factor.cost() - cost;
+    let left_is_smaller = || step_of(factor).is_some_and(|(_, left)| left < size);
+    raised <= 1e-12 * cost + f64::MIN_POSITIVE || (raised <= ROUNDING_OF_COST * cost && left_is_smaller())
+}
+
+/// The first of a step from x, its half, its quarter and so on that leads to a place that [`is_lower`], with the factor there and the
+/// part that it is; None if no part does. With `keeps`, the whole step may keep the triangle of `factor`.
 fn downhill<P: Descent + ?Sized>(
     problem: &P,
-    (x, step): (&[f64], &[f64]),
+    (x, step, size): (&[f64], &[f64], f64),
     (factor, keeps): (&P::Factor, bool),
     weights: Option<&[f64]>,
 ) -> Result<Option<Lower<P::Factor>>, P::Error> {
@@ -339,7 +351,7 @@ fn downhill<P: Descent + ?Sized>(
         let mut whole = x.to_vec();
         add(&mut whole, step, part);
         match problem.near(&whole, factor) {
-            Ok(Some(near)) if near.cost() <= cost * (1.0 + 1e-12) + f64::MIN_POSITIVE => {
+            Ok(Some(near)) if is_lower(&near, cost, size) => {
                 return Ok(Some(Lower { x: whole, factor: near, part, trials: 1 }));
             }
             Err(error) if problem.has_no_more(&error) => return Err(error),
@@ -354,7 +366,7 @@ fn downhill<P: Descent + ?Sized>(
             Ok(factor) => {
                 evaluated = true;
                 let differentiable = factor.norms().iter().all(|norm| norm.is_finite());
-                if differentiable && factor.cost() <= cost * (1.0 + 1e-12) + f64::MIN_POSITIVE {
+                if differentiable && is_lower(&factor, cost, size) {
                     return Ok(Some(Lower { x: trial, factor, part, trials }));
                 }
             }

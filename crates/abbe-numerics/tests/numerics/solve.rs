@@ -311,6 +311,37 @@ fn a_first_step_below_the_threshold_of_rounding_is_not_the_last() {
     assert!(found.last_step <= 1e-8, "{:e}", found.last_step);
 }
 
+/// Displacements of a metre in units of 0.2 µm along a scale whose period is sought: the noise of millions of digits raises the sum of
+/// squares by more than the last steps lower it.
+#[test]
+fn rounding_of_the_sum_of_squares_cuts_no_step() {
+    for seed in 0..40 {
+        let random = &mut Random::new(seed);
+        let count = 3_000;
+        let places: Vec<f64> = (0..count).map(|place| 3.5e6 * (f64::from(place) + 0.3) / f64::from(count)).collect();
+        let wave = |place: f64, x: &[f64]| {
+            let (sine, cosine) = (x[3] * place).sin_cos();
+            (x[1] * sine + x[2] * cosine, sine, cosine, place * (x[1] * cosine - x[2] * sine))
+        };
+        let truth = [1e-6, 1.0, 0.5, 2e-5];
+        let readings: Vec<f64> =
+            places.iter().map(|&place| place + truth[0] * place + wave(place, &truth).0 + random.normal()).collect();
+        let evaluations = Cell::new(0);
+        let at = |x: &[f64]| {
+            evaluations.set(evaluations.get() + 1);
+            let of = |(place, reading): (&f64, &f64)| {
+                let (wave, sine, cosine, slope) = wave(*place, x);
+                (place + x[0] * place + wave - reading, vec![*place, sine, cosine, slope])
+            };
+            places.iter().zip(&readings).map(of).unzip()
+        };
+        let problem = Given { unknowns: 4, rows: places.len(), at };
+        let found = run(&problem, &[0.0, 1.0, 0.0, 2.001e-5], &Options { iterations: 50, ..Options::USUAL });
+        assert_eq!(found.end, End::Converged);
+        assert!(evaluations.get() <= 12, "seed {seed}: {} evaluations", evaluations.get());
+    }
+}
+
 #[test]
 fn random_problems_end_within_the_tolerance() {
     // Exponentials with noise: the minimum by a far stricter iteration, in standard uncertainties of all rows.
