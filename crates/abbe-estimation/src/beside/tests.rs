@@ -5,11 +5,10 @@ use super::*;
 /// A programme of touches on a machine with a table that swivels and turns, and a tool that may swivel, too.
 struct Programme {
     touches: Vec<Touch>,
-    /// Frame of the tool and of the linear axes at each touch, in that of the table.
-    frames: Vec<[Matrix3<f64>; 2]>,
-    normals: Vec<Vector3<f64>>,
     /// The stretch of the programme that a touch is in: a position of the rotary axes.
     stretches: Vec<usize>,
+    /// Whether all facets were touched at their points.
+    is_aimed: bool,
 }
 
 fn turned(axis: Vector3<f64>, angle: f64) -> Matrix3<f64> {
@@ -36,7 +35,7 @@ fn programme(random: &mut Generator) -> Programme {
     // The artefact as a whole, and the set-up and errors of the machine.
     let off = Vector3::from_fn(|_, _| [0.1, 1.0, 8.0][random.index(3)] * random.normal());
     let swivels = random.index(2) == 0;
-    let mut made = Programme { touches: Vec::new(), frames: Vec::new(), normals: Vec::new(), stretches: Vec::new() };
+    let mut made = Programme { touches: Vec::new(), stretches: Vec::new(), is_aimed: around < 1.0 && grid == 0.0 };
     for position in 0..positions {
         let (a, c) = (1.0 * random.uniform(), std::f64::consts::PI * random.uniform());
         let machine = turned(Vector3::z(), c) * turned(Vector3::x(), a);
@@ -55,8 +54,6 @@ fn programme(random: &mut Generator) -> Programme {
                     effects: [tool, machine, Matrix3::identity()].map(|frame| in_plane * frame),
                     stylus: None,
                 });
-                made.frames.push([tool, machine]);
-                made.normals.push(*normal);
                 made.stretches.push(position);
             }
         }
@@ -66,7 +63,7 @@ fn programme(random: &mut Generator) -> Programme {
 
 #[test]
 fn touches_where_they_are_meant_to_be_get_no_word() {
-    let told = (0..20_000).filter(|seed| displaced(&programme(&mut Generator::new(*seed, 1)).touches).is_some());
+    let told = (0..5_000).filter(|seed| displaced(&programme(&mut Generator::new(*seed, 1)).touches).is_some());
     let told: Vec<u64> = told.collect();
     assert!(told.is_empty(), "{told:?}");
 }
@@ -89,14 +86,11 @@ fn mistaken(seeds: std::ops::Range<u64>, frame: Frame) -> [usize; 3] {
         let own: Vec<usize> =
             (0..made.touches.len()).filter(|place| (from..to).contains(&made.stretches[*place])).collect();
         let is_part = own.len() >= FEWEST && 2 * own.len() <= made.touches.len();
-        let mut sizes: Vec<f64> = made.touches.iter().map(|touch| touch.beside.norm()).collect();
-        sizes.sort_by(f64::total_cmp);
-        let is_aimed = sizes.get(sizes.len() * 9 / 10).is_some_and(|size| *size < 1.5);
         for place in &own {
             let by = effects(&made.touches[*place]);
             made.touches[*place].beside += by;
         }
-        if !is_part || !is_aimed {
+        if !is_part || !made.is_aimed {
             continue;
         }
         counts[0] += 1;
@@ -112,8 +106,7 @@ fn mistaken(seeds: std::ops::Range<u64>, frame: Frame) -> [usize; 3] {
 #[test]
 fn a_part_of_the_rows_that_is_displaced_is_told() {
     for frame in FRAMES {
-        let [all, told, right] = mistaken(0..6000, frame);
-        println!("{frame:?}: {all} {told} {right}");
+        let [all, told, right] = mistaken(0..2000, frame);
         assert!(all > 200 && told * 10 >= all * 6 && right * 100 >= told * 95, "{frame:?}: {all} {told} {right}");
     }
 }
