@@ -127,3 +127,42 @@ fn what_touches_miss_the_point_by_is_no_information() {
         assert_ne!(checked.status, 0, "{seed}: {}", checked.stdout);
     }
 }
+
+/// What `check` says of touches, in one line.
+fn checked(places: &[(usize, [f64; 2])]) -> String {
+    let folder = temporary();
+    write(&folder.path().join("r.yaml"), RECIPE);
+    write(&folder.path().join("touches.csv"), &touches(places));
+    write(&folder.path().join("facets.csv"), &facets(|_| [0.0; 2]));
+    let checked = abbe(folder.path(), &["check", "r.yaml"]);
+    let said = format!("{} {}", checked.stdout, checked.stderr);
+    said.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ")
+}
+
+/// Side faces that are touched 50 mm too low in a part of the rows fit as well: the length of the tool, or a work offset, was another one.
+#[test]
+fn touches_beside_the_points_in_a_part_of_the_rows_are_told() {
+    let words = "beside the nominal points of their facets";
+    for seed in 0..12 {
+        let mut random = Random::new(200 + seed);
+        let within = [0.3, 60.0][seed as usize % 2];
+        let mut place = |touch| (touch % 5, [random.within(-within, within), random.within(-within, within)]);
+        let places: Vec<(usize, [f64; 2])> = (0..45).map(&mut place).collect();
+        let good = checked(&places);
+        assert!(!good.contains(words), "{seed}: {good}");
+        let lowered = |(touch, (face, [one, other])): (usize, &(usize, [f64; 2]))| {
+            let by = if (15..30).contains(&touch) { -50.0 } else { 0.0 };
+            let lowered = match face {
+                0 | 1 => [*one, other + by],
+                2 | 3 => [one + by, *other],
+                _ => [*one, *other],
+            };
+            (*face, lowered)
+        };
+        let mistaken = checked(&places.iter().enumerate().map(lowered).collect::<Vec<_>>());
+        let is_told = mistaken.contains("block: 12 of 45 touches, the first in")
+            && mistaken.contains("touches.csv:17, lie ")
+            && mistaken.contains("is the tool length, or the work offset, of these rows another one?");
+        assert_eq!(is_told, within < 1.0, "{seed}: {mistaken}");
+    }
+}

@@ -32,6 +32,7 @@ mod fleet;
 mod frozen;
 mod full_disk;
 mod gcode;
+mod good_data;
 mod history;
 mod instruments;
 mod interpolation;

@@ -2,7 +2,7 @@
 //! are off by a constant angle. Both fit as well as the truth: backlash takes up the first, offsets of features the second.
 
 use abbe_core::{
-    AxisKind, CHUNK, Contact, Evaluation, Owner, ParameterRole, Problem, SetIndex, StatusRole, Unit, Variable,
+    Axis, AxisKind, CHUNK, Contact, Evaluation, Owner, ParameterRole, Problem, SetIndex, StatusRole, Unit, Variable,
 };
 use nalgebra::{DMatrix, DVector};
 
@@ -35,6 +35,18 @@ struct Touch {
     effects: Vec<f64>,
     /// Directions of approach of all axes, 0 where the data do not say.
     directions: Vec<f64>,
+    /// The only axis that moves until contact; none if all linear axes do, or it is not known.
+    approach: Option<usize>,
+}
+
+impl Touch {
+    /// Whether the direction of an axis leads away from the surface. None if this touch does not tell: the axis does not move until
+    /// contact, or hardly towards the surface, or the data do not say from where it came.
+    fn leads_away(&self, axis: usize) -> Option<bool> {
+        let moves = self.approach.is_none_or(|own| own == axis);
+        let (direction, effect) = (self.directions[axis], self.effects[axis]);
+        (moves && direction != 0.0 && effect.abs() > LEADS).then_some(direction * effect > 0.0)
+    }
 }
 
 /// Sentences on directions that are turned and on rotary axes that are off.
@@ -45,7 +57,7 @@ pub fn turned(problem: &Problem) -> Vec<String> {
             continue;
         }
         let Some(touches) = touches(problem, index) else { continue };
-        sentences.extend(away(problem, &touches).map(|words| format!("{}: {words}", set.name)));
+        sentences.extend(away(&problem.model.info().axes, &touches).map(|words| format!("{}: {words}", set.name)));
         sentences.extend(off(problem, index, &touches).map(|words| format!("{}: {words}", set.name)));
     }
     sentences
@@ -78,6 +90,7 @@ fn touches(problem: &Problem, index: SetIndex) -> Option<Vec<Touch>> {
                 distance: work.equations.residuals()[place],
                 effects: effects[place * commands.len()..(place + 1) * commands.len()].to_vec(),
                 directions: columns.iter().map(|column| column.map_or(0.0, |column| status[column])).collect(),
+                approach: set.info().approach(row).map(|approach| approach.axis),
             });
         }
     }
@@ -85,16 +98,11 @@ fn touches(problem: &Problem, index: SetIndex) -> Option<Vec<Touch>> {
 }
 
 /// Linear axes by whose directions many touches lead away from the surface: on the way to contact the distance falls.
-fn away(problem: &Problem, touches: &[Touch]) -> Option<String> {
-    let axes = &problem.model.info().axes;
+fn away(axes: &[Axis], touches: &[Touch]) -> Option<String> {
     let mut names = Vec::new();
     for (axis, own) in axes.iter().enumerate().filter(|(_, axis)| axis.kind == AxisKind::Linear) {
-        let told = touches.iter().filter(|touch| touch.directions[axis] != 0.0 && touch.effects[axis].abs() > LEADS);
-        let (mut count, mut wrong) = (0, 0);
-        for touch in told {
-            count += 1;
-            wrong += usize::from(touch.directions[axis] * touch.effects[axis] > 0.0);
-        }
+        let told = touches.iter().filter_map(|touch| touch.leads_away(axis));
+        let (count, wrong) = told.fold((0, 0), |(count, wrong), away| (count + 1, wrong + usize::from(away)));
         let part = wrong as f64 / count.max(1) as f64;
         if count >= TOUCHES && (part > MOST || (wrong >= TOUCHES && part > MANY)) {
             names.push(format!("`dir_{}` ({wrong} of {count})", own.name));
@@ -161,4 +169,73 @@ fn left(touches: &[Touch], effects: impl Fn(&Touch) -> Vec<f64>) -> Option<Left>
     let found = matrix.clone().svd(true, true).solve(&distances, 1e-9).ok()?;
     let rest = distances - matrix * &found;
     Some(Left { rms: (rest.norm_squared() / touches.len() as f64).sqrt(), unknowns, first: found[0] })
+}
+
+#[cfg(test)]
+mod tests {
+    use abbe_core::Branch;
+    use abbe_numerics::Generator;
+
+    use super::*;
+
+    fn axes() -> Vec<Axis> {
+        let axis = |(status, name): (usize, &str)| Axis {
+            name: name.to_owned(),
+            kind: AxisKind::Linear,
+            branch: Branch::Tool,
+            sense: 1.0,
+            direction: [0, 1, 2].map(|part| f64::from(u8::from(part == status))),
+            range: None,
+            indexed: false,
+            endless: false,
+            status,
+        };
+        ["X", "Y", "Z"].into_iter().enumerate().map(axis).collect()
+    }
+
+    /// Touches of faces that lie anyhow, each along the axis that is steepest on it; the other axes came from where the programme led.
+    fn along_one_axis(random: &mut Generator, count: usize, only: Option<usize>) -> Vec<Touch> {
+        let mut touches = Vec::new();
+        while touches.len() < count {
+            let normal = [0; 3].map(|_| random.normal());
+            let size = normal.iter().map(|part| part * part).sum::<f64>().sqrt();
+            let normal = normal.map(|part| part / size);
+            let steepest = (0..3).max_by(|one, other| normal[*one].abs().total_cmp(&normal[*other].abs()));
+            let Some(axis) = steepest.filter(|axis| only.is_none_or(|only| only == *axis)) else { continue };
+            let mut directions: Vec<f64> = (0..3).map(|_| if random.index(2) == 0 { 1.0 } else { -1.0 }).collect();
+            directions[axis] = -normal[axis].signum();
+            touches.push(Touch { distance: 0.0, effects: normal.to_vec(), directions, approach: Some(axis) });
+        }
+        touches
+    }
+
+    #[test]
+    fn directions_of_axes_that_do_not_touch_are_not_judged() {
+        let (axes, mut alike) = (axes(), 0);
+        for seed in 0..2000 {
+            let random = &mut Generator::new(seed, 1);
+            let (count, only) = (10 + random.index(200), [None, Some(2)][random.index(2)]);
+            let mut touches = along_one_axis(random, count, only);
+            assert_eq!(away(&axes, &touches), None, "{seed}");
+            touches.iter_mut().for_each(|touch| touch.approach = None);
+            alike += usize::from(away(&axes, &touches).is_some());
+        }
+        assert!(alike > 1000, "{alike} if all axes were judged");
+    }
+
+    #[test]
+    fn turned_directions_of_axes_that_touch_are_told() {
+        let axes = axes();
+        for seed in 0..500 {
+            let random = &mut Generator::new(seed, 2);
+            let (axis, count) = (random.index(3), 40 + random.index(200));
+            let mut touches = along_one_axis(random, count, None);
+            if touches.iter().filter(|touch| touch.approach == Some(axis)).count() < TOUCHES {
+                continue;
+            }
+            touches.iter_mut().for_each(|touch| touch.directions[axis] *= -1.0);
+            let name = format!("`dir_{}`", axes[axis].name);
+            assert!(away(&axes, &touches).is_some_and(|words| words.contains(&name)), "{seed}");
+        }
+    }
 }

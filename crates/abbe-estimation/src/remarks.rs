@@ -9,6 +9,7 @@ use abbe_core::{
 };
 
 use crate::aliasing::aliased;
+use crate::beside::beside_facets;
 use crate::channels::doubtful_channels;
 use crate::copies::repeated;
 use crate::directions::turned;
@@ -39,6 +40,7 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks.extend(styli(problem));
     remarks.extend(missed(problem));
     remarks.extend(exchanged_places(problem));
+    remarks.extend(beside_facets(problem));
     remarks.extend(planned(problem));
     remarks.extend(minutes(problem));
     remarks.extend(tilted_probe(problem));

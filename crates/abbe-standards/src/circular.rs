@@ -20,6 +20,9 @@ pub const EDITION: &str = "ISO 230-4:2005, in its manner";
 
 /// How much wider than the median step a gap in a full circle may be.
 const GAP: f64 = 2.5;
+/// The part of the steps that are not the widest ones, and how many times further than these from the median a gap of uneven steps may be.
+const USUAL: f64 = 0.95;
+const UNEVEN: f64 = 5.0;
 /// The gap that is no matter whatever the step is, rad.
 const SMALL_GAP: f64 = 2.0 * TAU / 360.0;
 /// Fewest samples of a full circle.
@@ -53,7 +56,9 @@ impl Trace {
         let angles = || unwrapped.iter().map(|sample| sample.angle);
         let low = angles().fold(f64::INFINITY, f64::min);
         let travel = angles().fold(f64::NEG_INFINITY, f64::max) - low;
-        let first = low + (0.5 * (travel - TAU)).max(0.0);
+        let earliest = low + (0.5 * (travel - TAU)).max(0.0) - SAME;
+        // The turn begins at a sample, so that no gap at its ends is wider than a step.
+        let first = angles().filter(|angle| *angle >= earliest).fold(f64::INFINITY, f64::min);
         let inside = |angle: f64| angle >= first - SAME && (travel < TAU - SAME || angle < first + TAU - SAME);
         let kept: Vec<Sample> = unwrapped.iter().copied().filter(|sample| inside(sample.angle)).collect();
         let full = is_full(&kept);
@@ -213,8 +218,10 @@ fn is_full(samples: &[Sample]) -> bool {
     let after = angles.iter().cycle().skip(1);
     let mut gaps: Vec<f64> = angles.iter().zip(after).map(|(one, next)| (next - one).rem_euclid(TAU)).collect();
     gaps.sort_by(f64::total_cmp);
-    let (median, largest) = (gaps[gaps.len() / 2], gaps[gaps.len() - 1]);
-    largest <= (GAP * median).max(SMALL_GAP) && largest < TAU / 8.0
+    let at = |part: f64| gaps[((part * gaps.len() as f64) as usize).min(gaps.len() - 1)];
+    let (median, wide, largest) = (at(0.5), at(USUAL), at(1.0));
+    let uneven = median + UNEVEN * (wide - median);
+    largest <= (GAP * median).max(SMALL_GAP).max(uneven) && largest < TAU / 8.0
 }
 
 /// `max |r one - r other|` at the same angle, straight between samples where the other direction has none there.

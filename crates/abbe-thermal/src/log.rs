@@ -3,6 +3,8 @@
 use abbe_core::ranges::TEMPERATURES;
 use abbe_core::{Error, Result, SettingsError};
 
+use crate::stuck::{LONG, stuck_part};
+
 /// How an input runs between two samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Hold {
@@ -37,9 +39,6 @@ pub struct Counting {
 
 /// The longest gap, in medians of the times between rows.
 const GAP: f64 = 5.0;
-
-/// Rows in which no sensor that works reads the same.
-const LONG: usize = 20;
 
 /// A jump of a temperature and back that no machine makes from one row to the next, K.
 const SPIKE: f64 = 5.0;
@@ -315,38 +314,6 @@ pub fn sensor_faults(name: &str, values: &[f64]) -> Vec<String> {
         ));
     }
     faults
-}
-
-/// Whether readings are all the same, in so many rows that no sensor that works reads so.
-pub fn is_dead(values: &[f64]) -> bool {
-    values.len() >= LONG && values.iter().all(|value| *value == values[0])
-}
-
-/// Where readings stand still for long while they move in most rows before and after: the first row, and how many. They may stand at
-/// the beginning, while a machine rests.
-pub fn stuck_part(values: &[f64]) -> Option<(usize, usize)> {
-    let (first, count) = longest_stand(values);
-    let near = first.saturating_sub(count) + 1..(first + 2 * count).min(values.len());
-    let others: Vec<usize> = near.filter(|row| !(first + 1..first + count).contains(row)).collect();
-    let still = others.iter().filter(|&&row| values[row] == values[row - 1]).count() + 1;
-    let still = still as f64 / (others.len() + 2) as f64;
-    // By chance it stands that long once in a thousand logs or less.
-    let by_chance = still.powf((count - 1) as f64) * values.len() as f64;
-    (first > 0 && count > LONG && by_chance < 1e-3).then_some((first, count))
-}
-
-/// The first row and the number of rows of the longest time that readings stand still.
-fn longest_stand(values: &[f64]) -> (usize, usize) {
-    let (mut longest, mut first) = ((0, 1), 0);
-    for row in 1..values.len() {
-        if values[row] != values[row - 1] {
-            first = row;
-        }
-        if row + 1 - first > longest.1 {
-            longest = (first, row + 1 - first);
-        }
-    }
-    longest
 }
 
 /// The median of the times between rows.

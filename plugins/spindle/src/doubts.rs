@@ -6,20 +6,36 @@ use abbe_numerics::Ends;
 
 use crate::run::Run;
 
-/// Ranges of readings that noise alone has, in its standard deviations.
+/// Range of the readings of a radial sensor, in standard deviations of its noise, that noise alone hardly has. It sees the eccentricity and
+/// the form of the artefact at least.
 const OF_NOISE: f64 = 10.0;
 
-/// Tells of a sensor that moves by no more than its noise; `uncertainty` is that of a reading, mm.
-pub fn tell_silent(run: &Run, name: &str, ends: &Ends, uncertainty: f64) {
+/// The same of an axial sensor, below which not even noise is there: an axial motion may be smaller than the noise.
+const WITHOUT_NOISE: f64 = 2.0;
+
+/// How a sensor stands to the axis of the spindle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sensor {
+    Radial,
+    Axial,
+}
+
+/// Tells of a sensor that moves by no more than its noise, or an axial one by less; `uncertainty` is that of a reading, mm.
+pub fn tell_silent(run: &Run, (sensor, name): (Sensor, &str), ends: &Ends, uncertainty: f64) {
     let [low, high] = ends.range().unwrap_or_default();
-    if high - low < OF_NOISE * uncertainty {
-        tracing::warn!(
-            "run `{}`: {name} moves by {:.3} um, which is what its noise of {:.3} um does: does it see the artefact?",
-            run.label,
-            (high - low) * 1e3,
-            uncertainty * 1e3
-        );
+    if let Some(words) = silent(sensor, high - low, uncertainty) {
+        tracing::warn!("run `{}`: {name} {words}: does it see the artefact?", run.label);
     }
+}
+
+/// What is wrong with a range of readings, mm.
+fn silent(sensor: Sensor, range: f64, uncertainty: f64) -> Option<String> {
+    let (of_noise, words) = match sensor {
+        Sensor::Radial => (OF_NOISE, "which is what its noise"),
+        Sensor::Axial => (WITHOUT_NOISE, "which is less than its noise"),
+    };
+    (range < of_noise * uncertainty)
+        .then(|| format!("moves by {:.3} um, {words} of {:.3} um does", range * 1e3, uncertainty * 1e3))
 }
 
 /// Fewest turns of a part of a run, and its angle and size that tell.
@@ -109,6 +125,45 @@ pub fn tell_unlike(what: &str, values: &[(String, f64)]) {
                 value * 1e3,
                 median * 1e3
             );
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use abbe_numerics::Generator;
+
+    use super::*;
+
+    /// The range of readings of a motion and noise, in the unit of these.
+    fn range(random: &mut Generator, (motion, noise): (f64, f64)) -> f64 {
+        let (count, phase) = (200 + random.index(2000), random.uniform());
+        let reading = |number: usize| motion * (0.1 * number as f64 + phase).sin() + noise * random.normal();
+        let readings: Vec<f64> = (0..count).map(reading).collect();
+        let fold = readings.iter().fold([f64::MAX, f64::MIN], |[low, high], value| [low.min(*value), high.max(*value)]);
+        fold[1] - fold[0]
+    }
+
+    #[test]
+    fn an_axial_motion_below_the_noise_is_no_silence() {
+        for seed in 0..2000 {
+            let mut random = Generator::new(seed, 1);
+            // The noise is what is stated, or half of it.
+            let noise = [1e-5, 5e-6][random.index(2)];
+            let motion = noise * random.uniform().abs();
+            let range = range(&mut random, (motion, noise));
+            assert_eq!(silent(Sensor::Axial, range, 1e-5), None, "{seed}: {range}");
+        }
+    }
+
+    #[test]
+    fn sensors_without_a_signal_are_told() {
+        for seed in 0..2000 {
+            let mut random = Generator::new(seed, 2);
+            let noise = range(&mut random, (0.0, 1e-5));
+            assert!(silent(Sensor::Radial, noise, 1e-5).is_some(), "{seed}: {noise}");
+            let dead = range(&mut random, (0.0, 1e-6));
+            assert!(silent(Sensor::Axial, dead, 1e-5).is_some(), "{seed}: {dead}");
         }
     }
 }

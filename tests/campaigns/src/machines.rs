@@ -254,12 +254,13 @@ fn shortened(message: &str) -> String {
 }
 
 /// Words of remarks on rows of a plan among measured ones, and on labels, times and directions that other columns contradict.
-const FALSE: [&str; 5] = [
+const FALSE: [&str; 6] = [
     "or are they positions of a plan",
     "are the two labels exchanged",
     "are the two columns exchanged",
     "from row to row the axes move against",
     "the time falls",
+    "beside the nominal points of their facets",
 ];
 
 /// Remarks on signs that are turned, columns that are exchanged, rows of a plan, what other columns contradict, and outliers that gather.

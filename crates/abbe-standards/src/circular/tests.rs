@@ -73,6 +73,43 @@ fn an_arc_has_nothing_but_f() {
     assert!(Trace::new(&samples((0..360).filter(|degree| *degree != 77), |_| 100.0)).is_full());
 }
 
+/// Samples at steps of about a degree: each is off by up to `jitter` degrees, or lies anywhere.
+fn uneven(random: &mut impl FnMut() -> f64, count: usize, jitter: Option<f64>) -> Vec<Sample> {
+    let degrees = |place: usize, random: &mut dyn FnMut() -> f64| match jitter {
+        // The sum of twelve numbers from -1 to 1 is twice a normal one.
+        Some(jitter) => place as f64 + jitter * 0.5 * (0..12).map(|_| random()).sum::<f64>(),
+        None => 0.5 * count as f64 * (1.0 + random()),
+    };
+    let mut degrees: Vec<f64> = (0..count).map(|place| degrees(place, random)).collect();
+    if jitter.is_none() {
+        degrees.sort_by(f64::total_cmp);
+    }
+    degrees.into_iter().map(|degree| Sample { angle: degree.to_radians(), radius: 100.0 }).collect()
+}
+
+#[test]
+fn a_full_circle_at_uneven_angles_is_no_arc() {
+    let jitters = [Some(0.1), Some(0.2), Some(0.3), Some(0.5), None];
+    let mut arcs = [0; 5];
+    for seed in 0..seeds() * 10 {
+        for ((place, jitter), count) in jitters.into_iter().enumerate().zip([360, 361, 361, 365, 400]) {
+            let trace = Trace::new(&uneven(&mut random(seed), count, jitter));
+            arcs[place] += u64::from(!trace.is_full());
+        }
+    }
+    assert!(arcs[..4].iter().all(|count| *count == 0) && arcs[4] <= seeds() / 5, "{arcs:?} of {}", seeds() * 10);
+}
+
+#[test]
+fn an_arc_at_uneven_angles_is_none_of_a_full_circle() {
+    for seed in 0..seeds() {
+        for (jitter, count) in [(Some(0.1), 354), (Some(0.2), 352), (Some(0.5), 345), (None, 320)] {
+            let trace = Trace::new(&uneven(&mut random(seed), count, jitter));
+            assert!(!trace.is_full(), "{seed} {jitter:?}");
+        }
+    }
+}
+
 /// The width of the ring about the best of many centres, by a search that knows distances alone.
 fn by_trying(points: &[[f64; 2]]) -> f64 {
     let width = |x: f64, y: f64| {

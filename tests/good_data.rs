@@ -1,0 +1,89 @@
+//! Good data that look like a mistake at first sight: nobody is asked about them.
+
+use std::path::Path;
+
+use serde_json::json;
+
+use crate::misread::changed;
+use crate::support::{Random, Variant, abbe, read, recipes, temporary, write};
+
+/// What a run says on its standard error, in one line.
+fn said(recipe: &Variant, folder: &Path) -> String {
+    let file = recipe.write(folder);
+    let printed = abbe(folder, &["run".as_ref(), file.as_os_str(), "--out".as_ref(), folder.join("out").as_os_str()]);
+    printed.stderr.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ")
+}
+
+/// The touches of a baseline once more, as a machine repeats them. `change` changes the directions of X, Y and Z of a row, beside its axis
+/// of approach.
+fn touched_again(text: &str, random: &mut Random, change: impl Fn(&str, usize, &str) -> String) -> String {
+    let mut lines = text.lines().filter(|line| !line.starts_with('#'));
+    let header = lines.next().expect("a header");
+    let place = |name: &str| header.split(',').position(|column| column == name).expect("a column");
+    let axes = ["X", "Y", "Z"];
+    let mut again = format!("{header}\n");
+    for line in lines {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        let approach = cells[place("approach")].clone();
+        let axis = format!("{}_mm", &approach[1..]);
+        let reading: f64 = cells[place("measured_mm")].parse().expect("a reading");
+        let reading = format!("{:.4}", reading + 3e-4 * random.normal());
+        cells[place(&axis)].clone_from(&reading);
+        cells[place("measured_mm")] = reading;
+        for (index, axis) in axes.iter().enumerate() {
+            let column = place(&format!("dir_{axis}"));
+            cells[column] = change(&approach, index, &cells[column]);
+        }
+        again += &(cells.join(",") + "\n");
+    }
+    again
+}
+
+/// Only the axis that touches says whether its direction leads to the surface: those of the others say from where they came.
+#[test]
+fn a_baseline_of_several_files_is_not_asked_for_signs() {
+    let recipe = Variant::of(&recipes()["rapid-verify-five-axis"]).only(&["calibrated"]);
+    let text = read(&recipe.path("baseline", "path"));
+    let words = "touches lead away from the surface";
+    for seed in 0..8 {
+        let mut random = Random::new(seed);
+        let folder = temporary();
+        for file in 0..1 + seed {
+            write(
+                &folder.path().join(format!("touches-{file}.csv")),
+                &touched_again(&text, &mut random, |_, _, cell| cell.to_owned()),
+            );
+        }
+        let recipe = recipe.clone().set("baseline", "path", json!(folder.path().join("touches-*.csv")));
+        let said = said(&recipe, folder.path());
+        assert!(!said.contains(words), "{seed}: {said}");
+    }
+    let mut random = Random::new(100);
+    let folder = temporary();
+    let turned = |_: &str, axis: usize, cell: &str| match axis {
+        2 => cell.replace('+', "*").replace('-', "+").replace('*', "-"),
+        _ => cell.to_owned(),
+    };
+    write(&folder.path().join("touches.csv"), &touched_again(&text, &mut random, turned));
+    let recipe = recipe.clone().set("baseline", "path", json!(folder.path().join("touches.csv")));
+    let said = said(&recipe, folder.path());
+    assert!(said.contains(&format!("{words} by `dir_Z`")), "{said}");
+}
+
+/// A good spindle moves along its axis by less than a sensor tells.
+#[test]
+fn an_axial_motion_below_the_noise_is_not_asked_for() {
+    let recipe = Variant::of(&recipes()["spindle-motion"]).only(&["motion"]);
+    for (noise, is_told) in [(6e-3, false), (4e-3, false), (1e-5, true)] {
+        let folder = temporary();
+        let random = std::cell::RefCell::new(Random::new(1));
+        let mut recipe = recipe.clone();
+        for run in ["run-600", "run-3000", "run-9000"] {
+            let file = recipe.path(run, "path");
+            let only_noise = |_: usize, _: &str| format!("{:.6}", 12.0 + noise * random.borrow_mut().normal());
+            recipe.stage(run)["path"] = json!(changed(&file, folder.path(), "z_um", only_noise));
+        }
+        let said = said(&recipe, folder.path());
+        assert_eq!(said.contains("does it see the artefact"), is_told, "{noise}: {said}");
+    }
+}
