@@ -374,7 +374,7 @@ impl Estimate for GaussNewton {
     }
 
     fn estimate_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Calibration> {
-        self.of_parts(problem, parts)
+        self.of_parts(problem, parts, true)
     }
 
     fn values_of_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Vec<f64>> {
