@@ -3,6 +3,7 @@
 
 mod again;
 mod files;
+mod selected;
 
 use std::path::Path;
 use std::process::Command;

@@ -10,19 +10,19 @@ use super::{calibration, run, with_gross_errors};
 use crate::fleet::shards::of_parts;
 use crate::support::{Variant, as_typed, read, temporary};
 
-fn with(mut recipe: Variant, stages: Value) -> Variant {
+pub fn with(mut recipe: Variant, stages: Value) -> Variant {
     for (name, stage) in stages.as_object().expect("stages") {
         recipe.0["stages"][name] = stage.clone();
     }
     recipe
 }
 
-fn verdicts(at: &Path, out: &str) -> Vec<Verdict> {
+pub fn verdicts(at: &Path, out: &str) -> Vec<Verdict> {
     Verdict::list_from_json(&read(&at.join(out).join("recipe/verdicts.json"))).expect("verdicts")
 }
 
 /// Whether both have the same figures, limits and remarks; numbers may be apart by a part of themselves.
-fn same(what: &str, found: &[Verdict], expected: &[Verdict], apart: f64) {
+pub fn same(what: &str, found: &[Verdict], expected: &[Verdict], apart: f64) {
     assert_eq!(found.len(), expected.len(), "{what}");
     for (found, expected) in found.iter().zip(expected) {
         assert_eq!((&found.stage, found.pass), (&expected.stage, expected.pass), "{what}");
@@ -97,47 +97,6 @@ fn folds_with_gross_errors_are_those_of_rows_that_are_held() {
     let printed = run(at, "batches");
     assert_eq!(printed.status, 0, "{}", printed.stderr);
     same("robust", &verdicts(at, "batches"), &expected, 1e-3);
-}
-
-/// The terms that chance explains are the same, and so are the values of the others.
-#[test]
-fn the_terms_of_rows_that_are_held_are_selected() {
-    for direction in ["backward", "forward", "both"] {
-        let folder = temporary();
-        let at = folder.path();
-        let select = json!({ "candidates": ["E*"], "level": 1e-3, "direction": direction });
-        let recipe = of_parts("tango-hu40t", "fit-S2").set("fit-S2", "select", select);
-        recipe.write(at);
-        let printed = run(at, "whole");
-        assert_eq!(printed.status, 0, "{}", printed.stderr);
-        let whole = calibration(at, "whole", "fit-S2");
-        let expected = whole.fit.selection.as_ref().expect("a selection");
-        assert!(!expected.kept.is_empty() && !expected.left_out.is_empty(), "{expected:?}");
-        for rows in [97, 20] {
-            Variant(recipe.0.clone()).set("touches", "batch_rows", json!(rows)).write(at);
-            let printed = run(at, "batches");
-            assert_eq!(printed.status, 0, "{direction}, {rows}: {}", printed.stderr);
-            let found = calibration(at, "batches", "fit-S2");
-            let selection = found.fit.selection.as_ref().expect("a selection");
-            assert_eq!(
-                (&selection.kept, &selection.left_out),
-                (&expected.kept, &expected.left_out),
-                "{direction}, {rows}"
-            );
-            assert_eq!(selection.steps.len(), expected.steps.len(), "{direction}, {rows}");
-            for one in whole.parameters.iter().chain(&whole.artefacts) {
-                let other = found.get(&one.name).expect("the same parameters");
-                assert_eq!(one.status, other.status, "{direction}, {rows}: {}", one.name);
-                for (one_is, other_is) in
-                    [(one.value, other.value), (one.standard_uncertainty, other.standard_uncertainty)]
-                {
-                    let apart = (one_is - other_is).abs();
-                    let allowed = 1e-6 * one.standard_uncertainty;
-                    assert!(apart <= allowed, "{direction}, {rows}: {} is off by {apart:e}", one.name);
-                }
-            }
-        }
-    }
 }
 
 /// What is wrong with folds is told as it is of rows that are held.

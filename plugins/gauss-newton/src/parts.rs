@@ -61,6 +61,9 @@ impl GaussNewton {
             return self.of_eliminated(&rows, explained);
         }
         let rows = RowsInParts::new(problem, parts);
+        if problem.unknowns.is_empty() {
+            return self.parts_as_they_are(&rows, explained);
+        }
         let sample = self.start_of_parts(problem, parts)?;
         // More rows tell no less: all of them are judged where the sample leaves something open.
         if !sample.as_ref().is_some_and(|sample| sample.determines_all) {
@@ -96,6 +99,11 @@ impl GaussNewton {
             gradient_cosine: Some(gradient_cosine),
         };
         self.evaluation(explained).calibration_of_parts(&rows, solved, told)
+    }
+
+    /// The machine as it is: nothing is estimated.
+    fn parts_as_they_are(&self, rows: &RowsInParts<'_>, explained: bool) -> Result<Calibration> {
+        self.evaluation(explained).calibration_of_parts(rows, Self::unsolved(), rows.at_solution(&[], None)?)
     }
 
     /// The end of an iteration of plain least squares, and what all rows tell there.
