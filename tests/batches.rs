@@ -3,6 +3,7 @@
 
 mod again;
 mod files;
+mod selected;
 
 use std::path::Path;
 use std::process::Command;
@@ -210,6 +211,14 @@ fn what_needs_all_rows_is_refused() {
     for (recipe, said) in [
         (tango(&[("fit-S2", "variance", json!("per-stage"))]), "`variance` needs all rows at once"),
         (tango(&[("fit-S2", "on_confounded", json!("drop"))]), "`on_confounded` needs all rows at once"),
+        (
+            tango(&[("fit-S2", "select", json!({ "candidates": ["E*"], "by": "prediction" }))]),
+            "`select` needs all rows at once (`by: prediction` leaves out runs of rows",
+        ),
+        (
+            tango(&[("fit-S2", "select", json!({ "candidates": ["E*"] })), ("fit-S2", "robust", json!("tukey"))]),
+            "`select` needs all rows at once (with `robust`",
+        ),
         (tango(&[("fit-S2", "per", json!("file"))]), "has groups (`per`)"),
         (tango(&[("fit-S2", "estimate", json!("sequential"))]), "this estimator needs all rows at once"),
         (tango(&[("table", "unseen", json!({ "group": [5] }))]), "`table` needs all rows of `touches` at once"),

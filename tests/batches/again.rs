@@ -10,19 +10,19 @@ use super::{calibration, run, with_gross_errors};
 use crate::fleet::shards::of_parts;
 use crate::support::{Variant, as_typed, read, temporary};
 
-fn with(mut recipe: Variant, stages: Value) -> Variant {
+pub fn with(mut recipe: Variant, stages: Value) -> Variant {
     for (name, stage) in stages.as_object().expect("stages") {
         recipe.0["stages"][name] = stage.clone();
     }
     recipe
 }
 
-fn verdicts(at: &Path, out: &str) -> Vec<Verdict> {
+pub fn verdicts(at: &Path, out: &str) -> Vec<Verdict> {
     Verdict::list_from_json(&read(&at.join(out).join("recipe/verdicts.json"))).expect("verdicts")
 }
 
 /// Whether both have the same figures, limits and remarks; numbers may be apart by a part of themselves.
-fn same(what: &str, found: &[Verdict], expected: &[Verdict], apart: f64) {
+pub fn same(what: &str, found: &[Verdict], expected: &[Verdict], apart: f64) {
     assert_eq!(found.len(), expected.len(), "{what}");
     for (found, expected) in found.iter().zip(expected) {
         assert_eq!((&found.stage, found.pass), (&expected.stage, expected.pass), "{what}");

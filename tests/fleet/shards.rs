@@ -226,6 +226,13 @@ fn what_needs_all_rows_is_refused() {
             Some(("touches", "average", json!({ "over": "file", "by": ["feature", "group"] }))),
             "rows are means of rows of several files",
         ),
+        (
+            "tango-hu40t",
+            "fit-S2",
+            "touches",
+            Some(("fit-S2", "select", json!({ "candidates": ["E*"] }))),
+            "`select` needs all rows at once",
+        ),
         ("samba", "fit-no-scale", "masters", None, "`on_confounded` needs all rows at once"),
         ("tango-hu40t", "fit-S2", "touches", None, "the machine takes settings from its data"),
         (

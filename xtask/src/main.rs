@@ -8,7 +8,7 @@
 //!   (`tests/at_the_limit.rs`).
 //! - `cargo xtask campaign controls COUNT SEED`: the laws of `tests/controls` on COUNT random machines each.
 //! - `cargo xtask campaign faults all`: let every system call that writes fail, one by one (`tests/faults.rs`).
-//! - `cargo xtask campaign machines|compensation|tango|bad-inputs|signals|hostile|fleet|sizes|spindle|touches COUNT SEED`: run a campaign over many
+//! - `cargo xtask campaign machines|batches|compensation|tango|bad-inputs|signals|hostile|fleet|sizes|spindle|touches COUNT SEED`: run a campaign over many
 //!   random cases (`tests/campaigns`).
 //! - `cargo xtask fuzz --executions COUNT --seed SEED [TARGET]`: COUNT inputs for every reader of bytes, or for one, built with the
 //!   checks of debug builds (`tests/campaigns/src/fuzz.rs`; `tests/fuzz` has the same targets for cargo-fuzz). With `--release` first it
@@ -90,7 +90,7 @@ fn main() -> ExitCode {
         ["python"] => python::run(),
         ["schema"] => schema(),
         _ => Err("usage: cargo xtask ci [--all] | bench [--save] | counts [--save] | campaign NAME COUNT SEED | fuzz [--release] --executions COUNT --seed SEED [TARGET] | mutate --runs COUNT --seed SEED | header | linuxcnc [--create-user] \
-                     | python | schema\ncampaigns: controls, machines, compensation, tango, bad-inputs, signals, hostile, fleet, sizes, spindle, touches; \
+                     | python | schema\ncampaigns: controls, machines, batches, compensation, tango, bad-inputs, signals, hostile, fleet, sizes, spindle, touches; \
                      coverage COUNT; limits COUNT; faults all"
             .to_owned()),
     };

@@ -213,12 +213,18 @@ impl Parts for RowsAtHand<'_> {
 pub struct ChangedParts<'a> {
     parts: &'a dyn Parts,
     change: &'a (dyn Fn(usize, &Problem) -> Result<Problem> + Sync),
+    change_of_sample: Option<&'a dyn Fn(&Problem) -> Result<Problem>>,
 }
 
 impl<'a> ChangedParts<'a> {
     /// The parts with a change, which gets the number of each part in the order of the rows.
     pub fn new(parts: &'a dyn Parts, change: &'a (dyn Fn(usize, &Problem) -> Result<Problem> + Sync)) -> Self {
-        Self { parts, change }
+        Self { parts, change, change_of_sample: None }
+    }
+
+    /// The same with the change of a sample of the rows, which has rows of many parts. Without it there is no sample.
+    pub fn with_sample(self, change: &'a dyn Fn(&Problem) -> Result<Problem>) -> Self {
+        Self { change_of_sample: Some(change), ..self }
     }
 }
 
@@ -234,6 +240,11 @@ impl Parts for ChangedParts<'_> {
 
     fn ask(&self, question: &QuestionToRows<'_>) -> Result<Option<PartEvidence>> {
         self.parts.ask(&|number, problem| question(number, &(self.change)(number, problem)?))
+    }
+
+    fn sample(&self) -> Result<Option<Problem>> {
+        let Some(change) = self.change_of_sample else { return Ok(None) };
+        self.parts.sample()?.map(|sample| change(&sample)).transpose()
     }
 }
 

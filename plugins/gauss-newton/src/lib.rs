@@ -344,15 +344,19 @@ impl GaussNewton {
 
     /// The machine as it is: nothing is estimated, and residuals are what it was off by.
     fn as_it_is(&self, problem: &Problem, explained: bool) -> Result<Calibration> {
-        let solved = EstimatorSolution {
+        self.evaluation(explained).calibration(problem, Self::unsolved(), None, None)
+    }
+
+    /// The solution of no unknowns.
+    fn unsolved() -> EstimatorSolution {
+        EstimatorSolution {
             x: Vec::new(),
             factor: None,
             robust: None,
             iterations: 0,
             last_step: None,
             gradient_cosine: None,
-        };
-        self.evaluation(explained).calibration(problem, solved, None, None)
+        }
     }
 }
 
@@ -374,7 +378,7 @@ impl Estimate for GaussNewton {
     }
 
     fn estimate_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Calibration> {
-        self.of_parts(problem, parts)
+        self.of_parts(problem, parts, true)
     }
 
     fn values_of_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Vec<f64>> {

@@ -8,6 +8,7 @@ use abbe_numerics::{End, HuberPoint, LeastSquares, Options, Solution, huber_poin
 
 use crate::GaussNewton;
 use crate::convergence::converged;
+use crate::select::SelectBy;
 use crate::settings::{OnConfounded, Variance};
 
 /// Where a sample of the rows ends.
@@ -44,14 +45,25 @@ const AT_ONCE: &str =
     "leave it out, or estimate all rows at once: `abbe run`, without `batch_rows` where they are read";
 
 impl GaussNewton {
-    /// The estimate from parts: the iteration of all rows at once, on the triangles of parts. Where rows can be read again, it begins
-    /// where a sample of them ends.
-    pub(crate) fn of_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Calibration> {
+    /// The estimate from parts, of the significant unknowns where they are selected.
+    pub(crate) fn of_parts(&self, problem: &Problem, parts: &dyn Parts, explained: bool) -> Result<Calibration> {
         self.check_settings_for_batches()?;
+        match &self.settings.select {
+            None => self.all_of_parts(problem, parts, explained),
+            Some(select) => self.selected_of_parts(problem, parts, select, explained),
+        }
+    }
+
+    /// The estimate of all unknowns: the iteration of all rows at once, on the triangles of parts. Where rows can be read again, it begins
+    /// where a sample of them ends.
+    pub(crate) fn all_of_parts(&self, problem: &Problem, parts: &dyn Parts, explained: bool) -> Result<Calibration> {
         if let Some(rows) = self.eliminating(problem, parts)? {
-            return self.of_eliminated(&rows, true);
+            return self.of_eliminated(&rows, explained);
         }
         let rows = RowsInParts::new(problem, parts);
+        if problem.unknowns.is_empty() {
+            return self.parts_as_they_are(&rows, explained);
+        }
         let sample = self.start_of_parts(problem, parts)?;
         // More rows tell no less: all of them are judged where the sample leaves something open.
         if !sample.as_ref().is_some_and(|sample| sample.determines_all) {
@@ -86,7 +98,12 @@ impl GaussNewton {
             last_step: Some(last_step),
             gradient_cosine: Some(gradient_cosine),
         };
-        self.evaluation(true).calibration_of_parts(&rows, solved, told)
+        self.evaluation(explained).calibration_of_parts(&rows, solved, told)
+    }
+
+    /// The machine as it is: nothing is estimated.
+    fn parts_as_they_are(&self, rows: &RowsInParts<'_>, explained: bool) -> Result<Calibration> {
+        self.evaluation(explained).calibration_of_parts(rows, Self::unsolved(), rows.at_solution(&[], None)?)
     }
 
     /// The end of an iteration of plain least squares, and what all rows tell there.
@@ -182,8 +199,9 @@ impl GaussNewton {
 
     /// The values of the unknowns of all parts, from a start that is almost right.
     pub(crate) fn values_in_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Vec<f64>> {
-        if self.settings.robust.is_some() {
-            return Ok(problem.values_of(&self.of_parts(problem, parts)?));
+        // Other rows may select other terms.
+        if self.settings.robust.is_some() || self.settings.select.is_some() {
+            return Ok(problem.values_of(&self.of_parts(problem, parts, false)?));
         }
         self.check_settings_for_batches()?;
         let options = self.options(1e-6, true);
@@ -196,6 +214,9 @@ impl GaussNewton {
     /// What the rows of all parts determine.
     pub(crate) fn identified_parts(&self, problem: &Problem, parts: &dyn Parts) -> Result<Identifiability> {
         self.check_settings_for_batches()?;
+        if let Some(select) = &self.settings.select {
+            select.candidates(problem)?;
+        }
         if let Some(rows) = self.eliminating(problem, parts)? {
             return self.evaluation(true).identify_eliminated(&rows);
         }
@@ -207,13 +228,22 @@ impl GaussNewton {
         if self.settings.robust.is_some() {
             return refused("robust", "weights follow from the scatter of all residuals");
         }
+        if self.settings.select.is_some() {
+            return refused("select", "the rows are read again without what is left out");
+        }
         self.check_settings_for_batches()
     }
 
     /// The same for rows that can be read again and again.
     pub(crate) fn check_settings_for_batches(&self) -> Result<()> {
-        if self.settings.select.is_some() {
-            return refused("select", "terms are tried one after another");
+        match &self.settings.select {
+            Some(select) if select.by == SelectBy::Prediction => {
+                return refused("select", "`by: prediction` leaves out runs of rows, one after another");
+            }
+            Some(_) if self.settings.robust.is_some() => {
+                return refused("select", "with `robust`, significance follows from the weights of all rows");
+            }
+            _ => {}
         }
         if self.settings.variance == Variance::PerStage {
             return refused("variance", "factors follow from the residuals of each stage");

@@ -2,10 +2,11 @@
 //! unknowns. The settings of the selection by prediction are here, too.
 
 use abbe_core::{
-    Calibration, Error, PathItem, Problem, Result, Selection, SelectionDirection, SelectionStep, SettingsError,
+    Calibration, Error, Parts, PathItem, Problem, Result, Selection, SelectionDirection, SelectionStep, SettingsError,
     Unknown, Whole, matches,
 };
-use abbe_numerics::{Factor, StepwiseDirection};
+use abbe_estimation::{ChangedParts, RowsInParts};
+use abbe_numerics::{Factor, LeastSquares, StepwiseDirection};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -65,6 +66,28 @@ impl GaussNewton {
         let factor = weighted.factor(&x, weights.as_ref().map(|report| report.weights.as_slice()))?;
         let selection = select.select(problem, &candidates, (&factor, &x), all.fit.degrees_of_freedom)?;
         let mut calibration = self.estimate_all(&reduced(&problem.with_values(&x), &selection), explained)?;
+        calibration.fit.selection = Some(selection);
+        Ok(calibration)
+    }
+
+    /// The same of rows in parts that can be read again: what is selected follows from the triangle of all rows at the solution of all
+    /// unknowns.
+    pub(crate) fn selected_of_parts(
+        &self,
+        problem: &Problem,
+        parts: &dyn Parts,
+        select: &Select,
+        explained: bool,
+    ) -> Result<Calibration> {
+        let candidates = select.candidates(problem)?;
+        let all = self.all_of_parts(problem, parts, false)?;
+        let x = problem.values_of(&all);
+        let factor = RowsInParts::new(problem, parts).factor(&x, None)?;
+        let selection = select.select(problem, &candidates, (&factor, &x), all.fit.degrees_of_freedom)?;
+        let of_part = |_: usize, part: &Problem| Ok(reduced(part, &selection));
+        let of_sample = |sample: &Problem| Ok(reduced(sample, &selection));
+        let parts = ChangedParts::new(parts, &of_part).with_sample(&of_sample);
+        let mut calibration = self.all_of_parts(&reduced(&problem.with_values(&x), &selection), &parts, explained)?;
         calibration.fit.selection = Some(selection);
         Ok(calibration)
     }

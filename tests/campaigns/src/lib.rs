@@ -3,6 +3,7 @@
 //! `cargo xtask campaign machines 2000 1` and the like run them in full; the tests run some of each.
 
 pub mod bad_inputs;
+pub mod batches;
 pub mod compensation;
 pub mod fleet;
 pub mod fuzz;

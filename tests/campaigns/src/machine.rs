@@ -135,7 +135,12 @@ fn indexations(random: &mut Random, model: &dyn KinematicModel) -> Vec<Indexatio
 impl Case {
     /// A random machine with a random artefact, written into a folder.
     pub fn new(random: &mut Random, folder: &Path) -> Self {
-        let artefact = random.of(&ARTEFACTS);
+        Self::of(random, &ARTEFACTS, folder)
+    }
+
+    /// The same with one of these artefacts.
+    pub fn of(random: &mut Random, artefacts: &[Artefact], folder: &Path) -> Self {
+        let artefact = random.of(artefacts);
         let mut machine = machine(random);
         let bare = model(&machine);
         let programme = PathBuf::from("programme.csv");

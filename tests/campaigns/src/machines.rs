@@ -75,14 +75,14 @@ pub fn run(seed: u64, count: u64) -> Report {
 
 /// What is asked of a case.
 pub struct Wanted {
-    parameters: Vec<String>,
-    known: Vec<String>,
-    estimator: Value,
-    truth: BTreeMap<String, f64>,
+    pub(crate) parameters: Vec<String>,
+    pub(crate) known: Vec<String>,
+    pub(crate) estimator: Value,
+    pub(crate) truth: BTreeMap<String, f64>,
     noise: f64,
 }
 
-fn wanted(random: &mut Random, case: &Case) -> Wanted {
+pub(crate) fn wanted(random: &mut Random, case: &Case) -> Wanted {
     let names: Vec<&str> = case.model.info().parameters.iter().map(|parameter| parameter.name.as_str()).collect();
     let mut shuffled = random.shuffled(&names);
     if case.artefact == Artefact::Direct && random.chance(0.7) {
@@ -113,7 +113,7 @@ fn wanted(random: &mut Random, case: &Case) -> Wanted {
     Wanted { parameters, known, estimator, truth, noise }
 }
 
-fn recipe(case: &Case, wanted: &Wanted, random: &mut Random) -> Value {
+pub(crate) fn recipe(case: &Case, wanted: &Wanted, random: &mut Random) -> Value {
     let mut stage = case.stage.clone();
     stage["from"] = json!("data");
     let mut machine = case.machine.clone();

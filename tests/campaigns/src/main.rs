@@ -6,7 +6,7 @@
 use std::process::ExitCode;
 
 use abbe_campaigns::{
-    bad_inputs, compensation, fleet, fuzz, hostile, machines, signals, sizes, spindle, tango, touches,
+    bad_inputs, batches, compensation, fleet, fuzz, hostile, machines, signals, sizes, spindle, tango, touches,
 };
 
 fn main() -> ExitCode {
@@ -29,6 +29,7 @@ fn main() -> ExitCode {
     let program = std::env::current_exe().expect("this program has a file");
     let report = match (arguments.first().map(String::as_str), number(1), number(2)) {
         (Some("machines"), Some(count), Some(seed)) => machines::run(seed, count),
+        (Some("batches"), Some(count), Some(seed)) => batches::run(seed, count),
         (Some("compensation"), Some(count), Some(seed)) => compensation::run(seed, count),
         (Some("tango"), Some(count), Some(seed)) => tango::run(seed, count),
         (Some("bad-inputs"), Some(count), Some(seed)) => bad_inputs::run(&program, seed, count),
@@ -43,7 +44,7 @@ fn main() -> ExitCode {
         (Some("touches"), Some(count), Some(seed)) => touches::run(&program, seed, count),
         _ => {
             eprintln!(
-                "usage: abbe-campaigns machines|compensation|tango|bad-inputs|signals|hostile|fleet|sizes|spindle|touches COUNT SEED, fuzz COUNT SEED [TARGET], fuzz-seeds FOLDER, or machine CASE SEED FOLDER"
+                "usage: abbe-campaigns machines|batches|compensation|tango|bad-inputs|signals|hostile|fleet|sizes|spindle|touches COUNT SEED, fuzz COUNT SEED [TARGET], fuzz-seeds FOLDER, or machine CASE SEED FOLDER"
             );
             return ExitCode::from(2);
         }

@@ -1,6 +1,6 @@
 //! Some cases of each campaign; `cargo xtask campaign` runs them by the thousand.
 
-use abbe_campaigns::{bad_inputs, compensation, fuzz, hostile, machines, signals, tango};
+use abbe_campaigns::{bad_inputs, batches, compensation, fuzz, hostile, machines, signals, tango};
 
 #[test]
 fn random_machines_keep_the_laws() {
@@ -9,6 +9,16 @@ fn random_machines_keep_the_laws() {
     assert!(report.broken.is_empty(), "{}", report.broken.join("\n"));
     // Every end is seen, or the campaign would prove nothing.
     for end in ["Full", "Marked", "Refused"] {
+        assert!(report.text.contains(end), "{end}: {}", report.text);
+    }
+}
+
+#[test]
+fn rows_in_batches_say_what_rows_that_are_held_say() {
+    let report = batches::run(1, 100);
+    println!("{}", report.text);
+    assert!(report.broken.is_empty(), "{}", report.broken.join("\n"));
+    for end in ["select", "robust", "hold-out", "two stages", "some kept", "refused"] {
         assert!(report.text.contains(end), "{end}: {}", report.text);
     }
 }
