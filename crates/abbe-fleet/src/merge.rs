@@ -8,7 +8,7 @@ use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use abbe_core::{Calibration, Decision, Error, Result, Verdict};
+use abbe_core::{Calibration, Decision, Error, Monitor, Result, Verdict};
 use abbe_history::{Entry, Stored};
 use serde_json::{Value, json};
 
@@ -46,19 +46,20 @@ pub struct Merged {
 /// Jobs that failed are told, and cost no others; jobs that nobody has done yet are an error unless `partial`.
 ///
 /// # Errors
-/// For open jobs, for results of another fleet, if the disk or the history does not take what is written, and while another merge of
-/// this manifest is at work, after a minute.
+/// For open jobs, for results of another fleet, if the disk or the history does not take what is written, while another merge of this
+/// manifest is at work, after a minute, and if `monitor` is cancelled before all jobs are read.
 pub fn merge(
     manifest: &Manifest,
     out: &Path,
     files: bool,
     partial: bool,
     registries: &Registries<'_>,
+    monitor: &Monitor,
 ) -> Result<Merged> {
     if !partial {
         none_open(manifest)?;
     }
-    let _alone = alone(manifest)?;
+    let _alone = alone(manifest, monitor)?;
     let (mut last, mut shards, mut families) = (None, Vec::new(), Vec::new());
     fs::create_dir_all(out).map_err(|error| unwritable(out, &error).help("name a folder: `--out`"))?;
     for family in &manifest.head.families {
@@ -76,10 +77,13 @@ pub fn merge(
         merged: Merged::default(),
     };
     merging.tables.check(&merging.own)?;
-    manifest.each_job(0..manifest.head.jobs, |_, job| match (&job.trials, families[job.family], &job.shard) {
-        (Some(_), Some(stage), _) => merging.block(&mut last, job, stage, registries),
-        (_, _, Some(_)) => merging.shard(&mut shards, job, partial, registries),
-        _ => merging.job(&job),
+    manifest.each_job(0..manifest.head.jobs, |_, job| {
+        monitor.check()?;
+        match (&job.trials, families[job.family], &job.shard) {
+            (Some(_), Some(stage), _) => merging.block(&mut last, job, stage, registries),
+            (_, _, Some(_)) => merging.shard(&mut shards, job, partial, registries),
+            _ => merging.job(&job),
+        }
     })?;
     let Merging { tables, keeper, mut merged, mut own, .. } = merging;
     if !partial && merged.open > 0 {
@@ -99,9 +103,10 @@ const ASKED: u32 = 600;
 const PAUSE: Duration = Duration::from_millis(100);
 
 /// A lock on the folder of results: one merge of it is at work at a time. None where there are no results, or no locks.
-fn alone(manifest: &Manifest) -> Result<Option<File>> {
+fn alone(manifest: &Manifest, monitor: &Monitor) -> Result<Option<File>> {
     let Ok(folder) = File::open(manifest.beside_it("results")) else { return Ok(None) };
     for _ in 0..ASKED {
+        monitor.check()?;
         match folder.try_lock() {
             Ok(()) => return Ok(Some(folder)),
             Err(TryLockError::WouldBlock) => std::thread::sleep(PAUSE),

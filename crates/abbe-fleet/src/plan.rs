@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use abbe_core::{AskedOfPart, Error, Kind, Registry, Result, in_parallel};
+use abbe_core::{AskedOfPart, Error, Kind, Monitor, Registry, Result, in_parallel};
 use abbe_engine::{FileRecord, prepared};
 use abbe_recipe::Template;
 use serde_json::Value;
@@ -22,15 +22,21 @@ use crate::worker::{Registries, adapted};
 /// no other one.
 ///
 /// # Errors
-/// For what is wrong with all jobs of a family, and if the manifest cannot be written.
-pub fn plan(fleet: &Fleet, path: &Path, registries: &Registries<'_>) -> Result<(Manifest, Vec<Job>)> {
+/// For what is wrong with all jobs of a family, if the manifest cannot be written, and if `monitor` is cancelled.
+pub fn plan(
+    fleet: &Fleet,
+    path: &Path,
+    registries: &Registries<'_>,
+    monitor: &Monitor,
+) -> Result<(Manifest, Vec<Job>)> {
     let hashes = Hashes::default();
     let mut jobs = Vec::new();
     for (index, wanted) in fleet.families.iter().enumerate() {
         let registry = registries(&wanted.recipe)?;
         let family =
             FamilyPlan { index, wanted, registry: &registry, hashes: &hashes, history: fleet.history.is_some() };
-        for planned in in_parallel(&wanted.jobs, None, |job| family.jobs(job)) {
+        let planned = |job: &Wanted| monitor.check().and_then(|()| family.jobs(job));
+        for planned in in_parallel(&wanted.jobs, None, planned) {
             jobs.extend(planned?);
         }
     }

@@ -87,6 +87,11 @@ impl Monitor {
         Self { deadline: Instant::now().checked_add(limit).map(|end| (end, limit)), ..self }
     }
 
+    /// The same without a time limit, for what is made of results that are there in time. The work can still be cancelled.
+    pub fn without_time_limit(&self) -> Self {
+        Self { deadline: None, ..self.clone() }
+    }
+
     /// The same for the work of a stage.
     pub fn of_stage(&self, stage: &str) -> Self {
         Self { stage: stage.into(), ..self.clone() }

@@ -119,7 +119,8 @@ impl Asked {
                 let out = out.unwrap_or_else(|| Manifest::beside(&fleet));
                 let out = std::path::absolute(&out).map_err(|error| cannot_enter(&out, &error))?;
                 let wanted = Fleet::read(&fleet)?;
-                let (manifest, jobs) = inside(&wanted.folder, || plan(&wanted, &out, &registries))?;
+                let (manifest, jobs) =
+                    whole(|monitor| inside(&wanted.folder, || plan(&wanted, &out, &registries, monitor)))?;
                 let refused = jobs.iter().filter_map(|job| Some((job.name.clone(), job.refused.clone()?)));
                 Ok(planned(&manifest, &refused.collect::<Vec<_>>()))
             }
@@ -146,12 +147,12 @@ impl Asked {
                 state(&status(&manifest)?, json)
             }
             Self::Merge { manifest, out, calibrations, partial } => {
-                interrupt::cancel_on_signal(Monitor::default())?;
                 let manifest = Manifest::read(&manifest)?;
                 let out = out.unwrap_or_else(|| manifest.beside_it("merged"));
                 let out = std::path::absolute(&out).map_err(|error| cannot_enter(&out, &error))?;
-                let merge = || merge(&manifest, &out, calibrations, partial, &registries);
-                let merged = inside(&manifest.base(), merge)?;
+                let merged = whole(|monitor| {
+                    inside(&manifest.base(), || merge(&manifest, &out, calibrations, partial, &registries, monitor))
+                })?;
                 let mut text = format!("{} jobs, {} calibrations", merged.jobs, merged.calibrations);
                 if manifest.head.history.is_some() {
                     let _ = write!(text, ", {} new entries of the history", merged.entries);
@@ -167,7 +168,7 @@ impl Asked {
             }
             Self::Next { manifest } => {
                 let mut manifest = Manifest::read(&manifest)?;
-                let rounds = inside(&manifest.base(), || next_round(&mut manifest, &registries))?;
+                let rounds = whole(|_| inside(&manifest.base(), || next_round(&mut manifest, &registries)))?;
                 let Rounds { asked, open, done, failed } = &rounds;
                 let (word, asked) = (if asked.is_empty() { "no" } else { "a" }, asked.len());
                 let text = format!(
@@ -192,6 +193,13 @@ impl Tries {
     fn limits(&self, workers: usize) -> Limits {
         Limits { workers, retries: self.retries, time_limit: self.time_limit }
     }
+}
+
+/// Does what writes several files, or one of many jobs. A signal ends it between two jobs, and nothing temporary stays.
+fn whole<T>(work: impl FnOnce(&Monitor) -> Result<T>) -> Result<T> {
+    let monitor = Monitor::new(|_| {});
+    interrupt::cancel_on_signal(monitor.clone())?;
+    interrupt::while_writing(|| work(&monitor))
 }
 
 /// Does something in another folder. Results name files as they are seen from there, so that they are the same wherever it is.

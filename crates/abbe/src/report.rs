@@ -10,8 +10,11 @@ use crate::browser;
 use crate::outputs::{Written, is_free};
 
 /// Adds the page about a run, and the residuals that it is made of, to the results. None, with a warning, if it cannot be made: that
-/// costs no result.
+/// costs no result. It is made of results that are there, so that a time limit which ends now does not count.
 pub fn attach(outcome: &mut Outcome) -> Option<Run> {
+    for fit in &mut outcome.fits {
+        fit.problem.monitor = fit.problem.monitor.without_time_limit();
+    }
     match Run::of(outcome) {
         Ok((run, tables)) => {
             outcome.attached = tables;
@@ -19,7 +22,7 @@ pub fn attach(outcome: &mut Outcome) -> Option<Run> {
             Some(run)
         }
         Err(error) => {
-            tracing::warn!("there is no {REPORT}: {error}");
+            tracing::warn!("there is no {REPORT}, and there are no tables of residuals: {error}");
             None
         }
     }
