@@ -2,6 +2,7 @@
 //! memory that does not grow with the rows.
 
 mod again;
+mod factors;
 mod files;
 mod selected;
 
@@ -209,7 +210,10 @@ fn what_needs_all_rows_is_refused() {
         recipe
     };
     for (recipe, said) in [
-        (tango(&[("fit-S2", "variance", json!("per-stage"))]), "`variance` needs all rows at once"),
+        (
+            tango(&[("fit-S2", "variance", json!("per-stage")), ("fit-S2", "robust", json!("tukey"))]),
+            "`variance` needs all rows at once (with `robust`",
+        ),
         (tango(&[("fit-S2", "on_confounded", json!("drop"))]), "`on_confounded` needs all rows at once"),
         (
             tango(&[("fit-S2", "select", json!({ "candidates": ["E*"], "by": "prediction" }))]),

@@ -110,7 +110,8 @@ fn trials_of_selected_terms_have_the_distributions_of_rows_that_are_held() {
     let trials = 300.0_f64;
     let folder = temporary();
     let at = folder.path();
-    let stage = json!({ "estimate": "monte-carlo", "of": "fit-S2", "trials": trials, "coverage_probability": 0.5, "seed": 3 });
+    let stage =
+        json!({ "estimate": "monte-carlo", "of": "fit-S2", "trials": trials, "coverage_probability": 0.5, "seed": 3 });
     let recipe = with(selecting(), json!({ "trials": stage }));
     let found: std::cell::RefCell<Vec<Calibration>> = Default::default();
     held_and_in_batches(at, &recipe, "touches", &[200, 97], &|_| {

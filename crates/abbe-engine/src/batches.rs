@@ -9,9 +9,9 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use abbe_core::{
     AskedOfPart, Batches, DataRecord, Dataset, Error, Fit, Identifiability, Kind, KinematicModel, Monitor,
-    PartEvidence, Parts, Problem, QuestionToRows, Result, WeighedSums, free_threads,
+    PartEvidence, Parts, Problem, QuestionToRows, Result, VarianceFactor, WeighedSums, free_threads,
 };
-use abbe_estimation::{joined_evidence, part_evidence};
+use abbe_estimation::{joined_evidence, part_evidence, with_factors_found};
 use abbe_recipe::Stage;
 
 use crate::in_order::in_order;
@@ -177,7 +177,7 @@ impl<'a> InBatches<'a> {
         let estimator = self.prepared.estimators[&stage.name].clone();
         tracing::info!("{}: rows in batches, {} unknowns", stage.name, problem.unknowns.len());
         let found =
-            estimator.estimate_parts(&problem, &AllBatches { batches: self, stage, known, monitor, is_own: true });
+            estimator.estimate_parts(&problem, &AllBatches { batches: self, stage, known, monitor, factors: None });
         let mut calibration = self.prepared.located(stage, found)?;
         statuses::join(&mut calibration.fit.statuses, &known.part.statuses);
         self.prepared.located(stage, check_uncertainties(&calibration))?;
@@ -212,19 +212,21 @@ impl<'a> InBatches<'a> {
         self.prepared.own_estimate(estimate).is_ok_and(|own| self.estimates.contains_key(&own.name))
     }
 
-    /// The rows of an estimate for those who repeat it, if they are read in batches; `monitor` observes this work.
-    pub fn parts<'b>(&'b self, estimate: &str, monitor: &Monitor) -> Result<Option<Box<dyn Parts + 'b>>> {
-        let own = self.prepared.own_estimate(estimate)?;
+    /// The rows of an estimate for those who repeat it, with the uncertainties that it used, if they are read in batches; `monitor` observes
+    /// this work.
+    pub fn parts<'b>(&'b self, fit: &'b Fit, monitor: &Monitor) -> Result<Option<Box<dyn Parts + 'b>>> {
+        let own = self.prepared.own_estimate(&fit.name)?;
         let Some(known) = self.estimates.get(&own.name) else { return Ok(None) };
         let monitor = monitor.without_events();
-        Ok(Some(Box::new(AllBatches { batches: self, stage: own, known, monitor, is_own: false })))
+        let factors = Some(fit.calibration.fit.variance.as_slice());
+        Ok(Some(Box::new(AllBatches { batches: self, stage: own, known, monitor, factors })))
     }
 
     /// What the rows of an estimate determine, if they are read in batches.
     pub fn identify(&self, stage: &Stage, monitor: &Monitor) -> Result<Option<Identifiability>> {
         let Some(known) = self.estimates.get(&stage.name) else { return Ok(None) };
         let monitor = monitor.of_stage(&stage.name);
-        let parts = AllBatches { batches: self, stage, known, monitor, is_own: true };
+        let parts = AllBatches { batches: self, stage, known, monitor, factors: None };
         let found = self.prepared.estimators[&stage.name].identify_parts(&known.problem, &parts);
         self.prepared.located(stage, found).map(Some)
     }
@@ -349,8 +351,8 @@ struct AllBatches<'a> {
     stage: &'a Stage,
     known: &'a Known,
     monitor: Monitor,
-    /// Whether the estimate itself asks, and not somebody who repeats it.
-    is_own: bool,
+    /// For those who repeat an estimate, the factors that it has found on the uncertainties of rows; none where the estimate itself asks.
+    factors: Option<&'a [VarianceFactor]>,
 }
 
 impl Parts for AllBatches<'_> {
@@ -359,16 +361,14 @@ impl Parts for AllBatches<'_> {
     }
 
     fn evidence(&self, _: usize, asked: AskedOfPart, at: &BTreeMap<String, f64>) -> Result<Arc<PartEvidence>> {
-        let told = self.known.at_start.get().filter(|_| asked == AskedOfPart::Start);
-        if let Some(told) = told {
+        // With other uncertainties they tell something else.
+        let kept = Some(&self.known.at_start).filter(|_| asked == AskedOfPart::Start && self.factors().is_empty());
+        if let Some(told) = kept.and_then(OnceLock::get) {
             return Ok(told.clone());
         }
         let found = self.ask(&|_, problem| part_evidence(problem, asked, &problem.values_at(at)))?;
         let found = found.map(Arc::new).ok_or_else(|| Error::data("there are no rows"))?;
-        match asked {
-            AskedOfPart::Start => Ok(self.known.at_start.get_or_init(|| found).clone()),
-            AskedOfPart::Rows | AskedOfPart::Solution => Ok(found),
-        }
+        Ok(kept.map_or_else(|| found.clone(), |kept| kept.get_or_init(|| found.clone()).clone()))
     }
 
     fn ask(&self, question: &QuestionToRows<'_>) -> Result<Option<PartEvidence>> {
@@ -387,7 +387,7 @@ impl Parts for AllBatches<'_> {
         };
         let told = |done: usize| self.monitor.parts_done("batches", done, Some(all.len()));
         let found = in_order(&all, free_threads(), answer, join, told)?;
-        if self.is_own {
+        if self.factors.is_none() {
             let sums = found.as_ref().and_then(|found| found.weighed.as_ref());
             self.batches.keep_unlisted(&self.stage.name, sums.and_then(|sums| unlisted(&self.stage.name, sums)));
         }
@@ -396,17 +396,25 @@ impl Parts for AllBatches<'_> {
 
     fn sample(&self) -> Result<Option<Problem>> {
         let found = self.batches.chosen_problem(self.stage, &self.known.problem, &self.monitor);
-        found.map(|problem| Some(problem.watched_by(self.monitor.clone())))
+        found.map(|problem| Some(with_factors_found(&problem, self.factors()).watched_by(self.monitor.clone())))
     }
 }
 
 impl AllBatches<'_> {
+    fn factors(&self) -> &[VarianceFactor] {
+        self.factors.unwrap_or_default()
+    }
+
     fn problem_of(&self, ingest: &str, batch: usize, with_others: bool) -> Result<Problem> {
         self.monitor.check()?;
         // Other values of the unknowns would not help.
         let (data, _) = self.batches.with_batch(ingest, batch).map_err(|error| Error { fatal: true, ..error })?;
         let model = self.known.problem.model.clone();
-        self.batches.problem_of(self.stage, ingest, with_others, model, &data, None)
+        let problem = self.batches.problem_of(self.stage, ingest, with_others, model, &data, None)?;
+        Ok(match self.factors() {
+            [] => problem,
+            factors => with_factors_found(&problem, factors),
+        })
     }
 }
 

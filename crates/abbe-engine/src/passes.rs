@@ -179,7 +179,7 @@ impl Prepared {
         batches: &InBatches<'_>,
     ) -> Result<Findings> {
         let data: Vec<&Dataset> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
-        let rows = fits.iter().map(|fit| batches.parts(&fit.name, &batches.monitor.of_stage(&stage.name)));
+        let rows = fits.iter().map(|fit| batches.parts(fit, &batches.monitor.of_stage(&stage.name)));
         let rows = rows.collect::<Result<Vec<_>>>()?;
         let fits: Vec<(&Fit, Option<&dyn Parts>)> =
             fits.iter().zip(&rows).map(|(fit, rows)| (*fit, rows.as_deref())).collect();

@@ -7,9 +7,9 @@ use std::time::{Instant, SystemTime};
 
 use abbe_core::{
     Class, DataRecord, Dataset, Error, EstimateSource, Event, Export, ExportedFile, Findings, Fit, Kind, Monitor,
-    ObservationSet, Problem, Result, Verdict, in_parallel,
+    Problem, Result, Verdict, in_parallel,
 };
-use abbe_estimation::{copies, falling_times, remarks};
+use abbe_estimation::{copies, falling_times, remarks, with_factors_found};
 use abbe_recipe::Stage;
 
 use crate::batches::{InBatches, Sources};
@@ -308,12 +308,7 @@ impl Prepared {
         calibration.fit.statuses = statuses::of_problem(&problem);
         self.located(stage, check_uncertainties(&calibration))?;
         // Later users of the problem get the rows with the uncertainties that the fit used.
-        let factor = |set: &ObservationSet| {
-            let found = calibration.fit.variance.iter().find(|found| found.stage == set.name);
-            found.map_or(1.0, |found| found.factor)
-        };
-        let factors: Vec<f64> = problem.sets.iter().map(factor).collect();
-        let problem = problem.with_variance_factors(&factors);
+        let problem = with_factors_found(&problem, &calibration.fit.variance);
         Ok(Fit { name: stage.name.clone(), problem: Arc::new(problem), estimator, calibration })
     }
 
@@ -322,7 +317,7 @@ impl Prepared {
         let of = named(stage.reference("of"), fits);
         let fit = of.first().ok_or_else(|| Error::usage("the estimate under `of` is not there").stage(&stage.name))?;
         let (monitor, estimator) = (monitor.of_stage(&stage.name), &self.estimators[&stage.name]);
-        let analysed = match batches.parts(&fit.name, &monitor)? {
+        let analysed = match batches.parts(fit, &monitor)? {
             Some(parts) => estimator.analyse_parts(&watched(fit, monitor), parts.as_ref()),
             None => estimator.analyse(&watched(fit, monitor)),
         };

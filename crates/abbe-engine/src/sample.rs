@@ -6,6 +6,7 @@ use std::sync::{Arc, PoisonError};
 
 use abbe_core::{DataRow, Dataset, Error, Fit, Monitor, Problem, Result, RowOrigin, free_threads};
 
+use abbe_estimation::with_factors_found;
 use abbe_recipe::Stage;
 
 use crate::batches::InBatches;
@@ -40,7 +41,8 @@ impl InBatches<'_> {
             }
             data.insert(ingest, chosen);
         }
-        Ok(Some((self.problem_of_chosen(stage, whole, &data)?, remarks)))
+        let problem = self.problem_of_chosen(stage, whole, &data)?;
+        Ok(Some((with_factors_found(&problem, &fit.calibration.fit.variance), remarks)))
     }
 
     /// The problem of an estimate on the rows of each data set that are chosen at random.

@@ -85,6 +85,7 @@ mod solved;
 mod times;
 mod turned_readings;
 mod variance;
+mod variance_in_parts;
 mod wavelength;
 mod weighed_parts;
 mod weighted;
@@ -121,6 +122,7 @@ pub use row_settings::{Ids, PooledRepeats, RowSettings, RowUncertainty, SharedEr
 pub use separation::{SeparationTrials, separating_measurements};
 pub use solved::{EstimatorSolution, RankDeficiency, UncertaintyEvaluation};
 pub use times::falling_times;
-pub use variance::{VarianceComponents, components};
+pub use variance::{VarianceComponents, components, with_factors_found};
+pub use variance_in_parts::components_of_parts;
 pub use wavelength::{Wavelength, rival_wavelengths, wavelengths};
 pub use weighted::{MOST_AT_ONCE, Weighted};

@@ -50,11 +50,16 @@ pub fn part_evidence(problem: &Problem, asked: AskedOfPart, at: &[f64]) -> Resul
 pub(crate) fn in_contact(problem: &Problem, at: &[f64], kept: Option<&[f64]>) -> Result<Vec<(String, Triangle)>> {
     let mut extended = rank_point(problem, at)?.with_values(at);
     extended.unknowns.extend(problem.considered.unknowns.iter().cloned());
-    let columns: Vec<String> = extended.unknowns.iter().map(|known| known.name.clone()).collect();
+    of_sets(&extended, kept)
+}
+
+/// The rows of each artefact at the values of a problem; those that are kept, with 0 or 1.
+pub(crate) fn of_sets(problem: &Problem, kept: Option<&[f64]>) -> Result<Vec<(String, Triangle)>> {
+    let columns: Vec<String> = problem.unknowns.iter().map(|known| known.name.clone()).collect();
     // A part need not have rows of every artefact.
     let (sets, ranges): (Vec<_>, Vec<_>) =
         problem.sets.iter().zip(problem.equation_ranges()).filter(|(_, range)| range.len() > 0).unzip();
-    let factors = Weighted::new(&extended)?.factors(&extended.start(), kept, &ranges)?;
+    let factors = Weighted::new(problem)?.factors(&problem.start(), kept, &ranges)?;
     let factors = factors.iter().map(|factor| triangle(&columns, factor));
     Ok(sets.iter().map(|set| set.name.clone()).zip(factors).collect())
 }
@@ -101,13 +106,6 @@ pub fn joined_evidence(one: &PartEvidence, other: &PartEvidence) -> Result<PartE
         (None, None) => Ok(None),
         _ => Err(nothing()),
     };
-    let mut in_contact = one.in_contact.clone();
-    for (set, triangle) in &other.in_contact {
-        match in_contact.iter_mut().find(|(known, _)| known == set) {
-            Some((_, known)) => *known = joined_triangle(known, triangle)?,
-            None => in_contact.push((set.clone(), triangle.clone())),
-        }
-    }
     let residuals = match (&one.residuals, &other.residuals) {
         (Some(one), Some(other)) => Some(one.with(other)),
         (None, None) => None,
@@ -116,7 +114,7 @@ pub fn joined_evidence(one: &PartEvidence, other: &PartEvidence) -> Result<PartE
     Ok(PartEvidence {
         recorded: both(&one.recorded, &other.recorded)?,
         nominal: both(&one.nominal, &other.nominal)?,
-        in_contact,
+        in_contact: joined_sets(&one.in_contact, &other.in_contact)?,
         residuals,
         weighed: match (&one.weighed, &other.weighed) {
             (Some(one), Some(other)) => {
@@ -128,6 +126,18 @@ pub fn joined_evidence(one: &PartEvidence, other: &PartEvidence) -> Result<PartE
             _ => return Err(nothing()),
         },
     })
+}
+
+/// The rows of the artefacts of two parts.
+pub(crate) fn joined_sets(one: &[(String, Triangle)], other: &[(String, Triangle)]) -> Result<Vec<(String, Triangle)>> {
+    let mut joined = one.to_vec();
+    for (set, triangle) in other {
+        match joined.iter_mut().find(|(known, _)| known == set) {
+            Some((_, known)) => *known = joined_triangle(known, triangle)?,
+            None => joined.push((set.clone(), triangle.clone())),
+        }
+    }
+    Ok(joined)
 }
 
 /// The triangle of the rows of both, with the columns of both.
@@ -348,7 +358,8 @@ impl<'a> RowsInParts<'a> {
         Self { problem, parts, start: problem.start(), columns }
     }
 
-    pub(crate) fn parts(&self) -> &'a dyn Parts {
+    /// The parts.
+    pub fn parts(&self) -> &'a dyn Parts {
         self.parts
     }
 
@@ -443,7 +454,7 @@ impl<'a> RowsInParts<'a> {
 }
 
 /// The error for a part that does not answer what it was asked.
-fn nothing() -> Error {
+pub(crate) fn nothing() -> Error {
     Error::data("a part of the rows does not tell what was asked of it")
 }
 

@@ -167,8 +167,8 @@ impl UncertaintyEvaluation {
         Ok(calibration)
     }
 
-    /// Makes the calibration from a solution of rows in parts, and from what they tell there. Parts tell no motion errors with the same
-    /// effect on the tip.
+    /// Makes the calibration from a solution of rows in parts, and from what they tell there. With `components`, the uncertainties of the
+    /// rows already contain their factors. Parts tell no motion errors with the same effect on the tip.
     ///
     /// Fails for a direction that is lost at the solution, and where no degrees of
     /// freedom are left, as for rows at once.
@@ -177,6 +177,7 @@ impl UncertaintyEvaluation {
         rows: &RowsInParts<'_>,
         solved: EstimatorSolution,
         told: SolutionOfParts,
+        components: Option<&VarianceComponents>,
     ) -> Result<Calibration> {
         let EstimatorSolution { x, iterations, last_step, gradient_cosine, .. } = solved;
         let problem = rows.problem();
@@ -209,12 +210,15 @@ impl UncertaintyEvaluation {
                 problem.name
             );
         }
-        let scales = self.scales(&statistics, None);
+        let scales = self.scales(&statistics, components);
         let propagation =
             Propagation::of_factors(problem, &factor.covariance_root(rank), (&of_sets, &extended), scales);
         self.check_redundancy(&statistics, rank, &propagation)?;
-        let told =
-            Told { radial_rms: residuals.radial_rms(), equivalent_motion_errors: Vec::new(), variance: Vec::new() };
+        let told = Told {
+            radial_rms: residuals.radial_rms(),
+            equivalent_motion_errors: Vec::new(),
+            variance: components.map_or_else(Vec::new, |found| found.named(problem)),
+        };
         let fit = self.report(problem, found, &statistics, (iterations, last_step, gradient_cosine), told);
         let mut calibration = calibration(problem, &x, propagation.covariance(problem), sums.outliers, fit);
         calibration.uncertainty = self.explained.then(|| propagation.budget(problem, self.coverage_probability));

@@ -15,14 +15,14 @@
 //! degrees of freedom. Constraints of certificates keep their uncertainty: their t is 1.
 
 use abbe_core::{EquationIndex, Error, Problem, Result, VarianceFactor};
-use abbe_numerics::{Directions, Factor, RobustReport, Solution};
+use abbe_numerics::{Directions, Factor, Information, RobustReport, Solution};
 use nalgebra::{DMatrix, DVector};
 
 use crate::residuals::correction;
 use crate::weighted::Weighted;
 
 /// Most rounds of estimating factors.
-const ROUNDS: usize = 100;
+pub(crate) const ROUNDS: usize = 100;
 
 /// The iteration ends if the logarithms of all squared corrections of factors are below this. Standard uncertainties then
 /// change by less than half of it, relatively.
@@ -69,8 +69,25 @@ impl VarianceComponents {
     }
 }
 
+/// A problem with the factors that an estimate has found on the uncertainties of readings, by the names of stages. Those of other stages
+/// do not change.
+pub fn with_factors_found(problem: &Problem, found: &[VarianceFactor]) -> Problem {
+    let factor = |name: &str| found.iter().find(|found| found.stage == name).map_or(1.0, |found| found.factor);
+    problem.with_variance_factors(&problem.sets.iter().map(|set| factor(&set.name)).collect::<Vec<f64>>())
+}
+
+/// The rows of a set at a solution.
+pub(crate) struct Group {
+    /// Readings that take part.
+    pub rows: usize,
+    /// Their weighted sum of squares.
+    pub squares: f64,
+    /// Their share in the information.
+    pub share: Information,
+}
+
 /// Sums of squares of the groups for one solution.
-struct Round {
+pub(crate) struct Round {
     /// Weighted sum of squares of every group.
     squares: Vec<f64>,
     redundancies: Vec<f64>,
@@ -98,22 +115,30 @@ impl Round {
         };
         let factors: Vec<Factor> = weighted.factors(&solution.x, Some(&readings), &ranges)?;
         let shares: Vec<_> = factors.iter().map(|factor| covariance_root.information(factor)).collect();
-        let count = ranges.len();
+        let groups = ranges.iter().zip(shares).map(|(range, share)| {
+            let rows: Vec<EquationIndex> = range.clone().filter(|&equation| readings[equation] > 0.0).collect();
+            let squares = influence(&rows, &residuals, report) * correction(&rows, report, share.trace()).powi(2);
+            Group { rows: rows.len(), squares, share }
+        });
+        Ok(Self::of_groups(&groups.collect::<Vec<Group>>()))
+    }
+
+    pub(crate) fn of_groups(groups: &[Group]) -> Self {
+        let count = groups.len();
         let (mut squares, mut redundancies) = (Vec::new(), Vec::new());
         let mut expected = DMatrix::<f64>::zeros(count, count);
-        for (group, range) in ranges.iter().enumerate() {
-            let rows: Vec<EquationIndex> = range.clone().filter(|&equation| readings[equation] > 0.0).collect();
-            let trace = shares[group].trace();
-            squares.push(influence(&rows, &residuals, report) * correction(&rows, report, trace).powi(2));
-            redundancies.push(rows.len() as f64 - trace);
-            for other in 0..count {
-                expected[(group, other)] = shares[group].product_trace(&shares[other]);
+        for (group, Group { rows, squares: own, share }) in groups.iter().enumerate() {
+            let trace = share.trace();
+            squares.push(*own);
+            redundancies.push(*rows as f64 - trace);
+            for (other, Group { share: of_other, .. }) in groups.iter().enumerate() {
+                expected[(group, other)] = share.product_trace(of_other);
             }
-            expected[(group, group)] += rows.len() as f64 - 2.0 * trace;
+            expected[(group, group)] += *rows as f64 - 2.0 * trace;
         }
         // Property of a projection: r_g is the sum of S_gh over all groups h, certificates included.
         let constrained = (0..count).map(|group| redundancies[group] - expected.row(group).sum()).collect();
-        Ok(Self { squares, redundancies, expected, constrained })
+        Self { squares, redundancies, expected, constrained }
     }
 
     /// The squared corrections t of the factors of the groups in `free`, and their degrees of freedom.
@@ -144,30 +169,31 @@ fn influence(rows: &[EquationIndex], residuals: &[f64], report: Option<&RobustRe
     rows.iter().map(|&row| (weight(row) * residuals[row]).powi(2)).sum()
 }
 
-/// The factors of all sets. `solve` gives the solution of a problem from its start values, within the directions that are
-/// `directions`, if not all are determined.
-pub fn components(
-    problem: &Problem,
-    directions: Option<&Directions>,
-    solve: impl Fn(&Problem) -> Result<Solution>,
-) -> Result<VarianceComponents> {
-    let count = problem.sets.len();
-    let mut factors = vec![1.0; count];
-    let mut determined = vec![true; count];
-    let mut exact = vec![false; count];
-    let mut x = problem.start();
-    for _ in 0..ROUNDS {
-        let scaled = problem.with_variance_factors(&factors).with_values(&x);
-        let solution = solve(&scaled)?;
-        x.clone_from(&solution.x);
-        let round = Round::new(&scaled, &solution, directions)?;
+/// The factors on the way to where they stay.
+pub(crate) struct Rounds {
+    /// The factors of all sets.
+    pub factors: Vec<f64>,
+    determined: Vec<bool>,
+    exact: Vec<bool>,
+}
+
+impl Rounds {
+    /// All factors are 1.
+    pub fn new(count: usize) -> Self {
+        Self { factors: vec![1.0; count], determined: vec![true; count], exact: vec![false; count] }
+    }
+
+    /// Better factors, from a round with these ones; the degrees of freedom of all if they stay as they are.
+    pub fn next(&mut self, round: &Round) -> Option<Vec<f64>> {
+        let Self { factors, determined, exact } = self;
+        let count = factors.len();
         let silent: Vec<usize> =
             (0..count).filter(|&group| determined[group] && round.redundancies[group] < LEAST_REDUNDANCY).collect();
         if !silent.is_empty() {
             for group in silent {
                 (determined[group], factors[group]) = (false, 1.0);
             }
-            continue;
+            return None;
         }
         let free: Vec<usize> = (0..count).filter(|&group| determined[group] && !exact[group]).collect();
         let (off, freedom) = round.solve(&free);
@@ -182,19 +208,49 @@ pub fn components(
                 factors[group] = factor;
             }
         }
-        if change < SETTLED {
-            let mut degrees_of_freedom = vec![f64::INFINITY; count];
-            free.iter().zip(freedom).for_each(|(&group, freedom)| degrees_of_freedom[group] = freedom);
-            (0..count)
-                .filter(|&group| exact[group])
-                .for_each(|group| degrees_of_freedom[group] = round.redundancies[group]);
-            if let Some(group) = free.iter().copied().find(|&group| degrees_of_freedom[group] < LEAST_REDUNDANCY) {
-                (determined[group], factors[group]) = (false, 1.0);
-                continue;
-            }
-            return Ok(VarianceComponents { factors, degrees_of_freedom, x, determined });
+        if change >= SETTLED {
+            return None;
+        }
+        let mut degrees_of_freedom = vec![f64::INFINITY; count];
+        free.iter().zip(freedom).for_each(|(&group, freedom)| degrees_of_freedom[group] = freedom);
+        (0..count)
+            .filter(|&group| exact[group])
+            .for_each(|group| degrees_of_freedom[group] = round.redundancies[group]);
+        if let Some(group) = free.iter().copied().find(|&group| degrees_of_freedom[group] < LEAST_REDUNDANCY) {
+            (determined[group], factors[group]) = (false, 1.0);
+            return None;
+        }
+        Some(degrees_of_freedom)
+    }
+
+    /// The factors where they stay, with values of the unknowns.
+    pub fn settled(self, degrees_of_freedom: Vec<f64>, x: Vec<f64>) -> VarianceComponents {
+        VarianceComponents { factors: self.factors, degrees_of_freedom, x, determined: self.determined }
+    }
+}
+
+/// The error for factors that do not settle.
+pub(crate) fn unsettled() -> Error {
+    let error = Error::data(format!("the variance factors of the artefacts still change after {ROUNDS} rounds"));
+    error.help("use one factor for all, `variance: common`, or trust what is stated").setting("variance")
+}
+
+/// The factors of all sets. `solve` gives the solution of a problem from its start values, within the directions that are
+/// `directions`, if not all are determined.
+pub fn components(
+    problem: &Problem,
+    directions: Option<&Directions>,
+    solve: impl Fn(&Problem) -> Result<Solution>,
+) -> Result<VarianceComponents> {
+    let mut rounds = Rounds::new(problem.sets.len());
+    let mut x = problem.start();
+    for _ in 0..ROUNDS {
+        let scaled = problem.with_variance_factors(&rounds.factors).with_values(&x);
+        let solution = solve(&scaled)?;
+        x.clone_from(&solution.x);
+        if let Some(degrees_of_freedom) = rounds.next(&Round::new(&scaled, &solution, directions)?) {
+            return Ok(rounds.settled(degrees_of_freedom, x));
         }
     }
-    let error = Error::data(format!("the variance factors of the artefacts still change after {ROUNDS} rounds"));
-    Err(error.help("use one factor for all, `variance: common`, or trust what is stated").setting("variance"))
+    Err(unsettled())
 }

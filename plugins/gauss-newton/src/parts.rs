@@ -2,7 +2,8 @@
 
 use abbe_core::{Calibration, Error, Identifiability, Parts, Problem, Result, Unknown};
 use abbe_estimation::{
-    EstimatorSolution, Judgement, RowsAtHand, RowsInParts, SolutionOfParts, confounded, identifiability,
+    ChangedParts, EstimatorSolution, Judgement, RowsAtHand, RowsInParts, SolutionOfParts, VarianceComponents,
+    components_of_parts, confounded, identifiability, with_factors_found,
 };
 use abbe_numerics::{End, HuberPoint, LeastSquares, Options, Solution, huber_point, solve_from, solve_in_passes};
 
@@ -64,6 +65,16 @@ impl GaussNewton {
         if problem.unknowns.is_empty() {
             return self.parts_as_they_are(&rows, explained);
         }
+        let solved = self.solved_parts(&rows)?;
+        match self.settings.variance {
+            Variance::Common => self.calibrated(&rows, solved, None, explained),
+            Variance::PerStage => self.with_factors(&rows, &solved.0.x, explained),
+        }
+    }
+
+    /// The solution of the rows as their uncertainties are stated, and what they tell there.
+    fn solved_parts(&self, rows: &RowsInParts<'_>) -> Result<(Solution, SolutionOfParts)> {
+        let (problem, parts) = (rows.problem(), rows.parts());
         let sample = self.start_of_parts(problem, parts)?;
         // More rows tell no less: all of them are judged where the sample leaves something open.
         if !sample.as_ref().is_some_and(|sample| sample.determines_all) {
@@ -75,20 +86,44 @@ impl GaussNewton {
         let start = sample.map(|sample| sample.at);
         let options = self.options(self.settings.tolerance, false);
         let plain = Options { robust: None, ..options };
-        let (solution, told) = match (options.robust, start) {
-            (None, None) => self.of_plain_parts(&rows, solve_from(&rows, &problem.start(), None, &plain)?)?,
-            (None, Some(start)) => self.begun_near(&rows, &start.x, &plain)?,
+        match (options.robust, start) {
+            (None, None) => self.of_plain_parts(rows, solve_from(rows, &problem.start(), None, &plain)?),
+            (None, Some(start)) => self.begun_near(rows, &start.x, &plain),
             (Some(robust), start) => {
                 let start = match start {
                     Some(start) => start,
-                    None => RowsInParts::huber_start(self.iterate(&rows, &problem.start(), None, &plain)?.x),
+                    None => RowsInParts::huber_start(self.iterate(rows, &problem.start(), None, &plain)?.x),
                 };
-                let (solution, weighing) = solve_in_passes(&rows, start, robust, &options)?;
+                let (solution, weighing) = solve_in_passes(rows, start, robust, &options)?;
                 let solution = converged(solution, &options)?;
                 let told = rows.at_solution(&solution.x, Some(&weighing))?;
-                (solution, told)
+                Ok((solution, told))
             }
-        };
+        }
+    }
+
+    /// The estimate with a factor on the uncertainties of each stage, from the solution without them.
+    fn with_factors(&self, rows: &RowsInParts<'_>, x: &[f64], explained: bool) -> Result<Calibration> {
+        let problem = rows.problem();
+        let components = components_of_parts(rows, x)?;
+        components.warn(problem);
+        let factors = components.named(problem);
+        let scaled = |_: usize, part: &Problem| Ok(with_factors_found(part, &factors));
+        let parts = ChangedParts::new(rows.parts(), &scaled);
+        let rows = RowsInParts::new(problem, &parts);
+        let options = Options { robust: None, ..self.options(self.settings.tolerance, false) };
+        let solved = self.begun_near(&rows, &components.x, &options)?;
+        self.calibrated(&rows, solved, Some(&components), explained)
+    }
+
+    /// The calibration from a solution of rows, and from what they tell there.
+    fn calibrated(
+        &self,
+        rows: &RowsInParts<'_>,
+        (solution, told): (Solution, SolutionOfParts),
+        components: Option<&VarianceComponents>,
+        explained: bool,
+    ) -> Result<Calibration> {
         let Solution { x, iterations, last_step, gradient_cosine, .. } = solution;
         let solved = EstimatorSolution {
             x,
@@ -98,12 +133,12 @@ impl GaussNewton {
             last_step: Some(last_step),
             gradient_cosine: Some(gradient_cosine),
         };
-        self.evaluation(explained).calibration_of_parts(&rows, solved, told)
+        self.evaluation(explained).calibration_of_parts(rows, solved, told, components)
     }
 
     /// The machine as it is: nothing is estimated.
     fn parts_as_they_are(&self, rows: &RowsInParts<'_>, explained: bool) -> Result<Calibration> {
-        self.evaluation(explained).calibration_of_parts(rows, Self::unsolved(), rows.at_solution(&[], None)?)
+        self.evaluation(explained).calibration_of_parts(rows, Self::unsolved(), rows.at_solution(&[], None)?, None)
     }
 
     /// The end of an iteration of plain least squares, and what all rows tell there.
@@ -231,6 +266,9 @@ impl GaussNewton {
         if self.settings.select.is_some() {
             return refused("select", "the rows are read again without what is left out");
         }
+        if self.settings.variance == Variance::PerStage {
+            return refused("variance", "factors follow from the residuals of each stage");
+        }
         self.check_settings_for_batches()
     }
 
@@ -245,8 +283,8 @@ impl GaussNewton {
             }
             _ => {}
         }
-        if self.settings.variance == Variance::PerStage {
-            return refused("variance", "factors follow from the residuals of each stage");
+        if self.settings.variance == Variance::PerStage && self.settings.robust.is_some() {
+            return refused("variance", "with `robust`, factors follow from the weights of all rows");
         }
         if self.settings.on_confounded != OnConfounded::Error {
             return refused("on_confounded", "what is lost is tried with other values");

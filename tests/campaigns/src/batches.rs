@@ -1,6 +1,6 @@
 //! Estimates whose rows are read in batches, on random machines: what a run that holds all rows says, it says in batches of any size.
 //!
-//! With and without `select`, `robust` and `hold-out`, of one artefact stage or of two. What has to hold in every case:
+//! With and without `select`, `robust`, `variance: per-stage` and `hold-out`, of one artefact stage or of two. What has to hold in every case:
 //!
 //! 1. both runs estimate, or both refuse;
 //! 2. values and standard uncertainties agree to 1e-7 standard uncertainties, those of robust estimates to 1e-2: weights settle no further;
@@ -13,13 +13,13 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
-use abbe_core::{Calibration, Monitor, Registry, Verdict, in_parallel};
+use abbe_core::{Calibration, Monitor, Owner, Registry, Verdict, in_parallel};
 use abbe_engine::{Outcome, prepare};
 use serde_json::{Value, json};
 
 use crate::Random;
 use crate::machine::{Artefact, Case};
-use crate::machines::{Report, Wanted, recipe, wanted};
+use crate::machines::{Report, recipe, shortened, wanted};
 
 /// The artefacts whose rows do not depend on each other.
 const ARTEFACTS: [Artefact; 4] = [Artefact::Facets, Artefact::Touches, Artefact::Centres, Artefact::Plate];
@@ -44,8 +44,7 @@ pub fn run(seed: u64, count: u64) -> Report {
     let (mut ends, mut report) = (BTreeMap::<String, (usize, f64)>::new(), Report::default());
     for (case, found) in in_parallel(&cases, None, |case| one(seed, *case)).into_iter().enumerate() {
         let (number, apart) = ends.entry(format!("{}: {}", found.kind, found.end)).or_default();
-        *number += 1;
-        *apart = apart.max(found.apart);
+        (*number, *apart) = (*number + 1, apart.max(found.apart));
         report.broken.extend(found.broken.into_iter().map(|law| format!("seed {seed}, case {case}: {law}")));
     }
     for (name, (count, apart)) in ends {
@@ -56,30 +55,32 @@ pub fn run(seed: u64, count: u64) -> Report {
     report
 }
 
-/// The settings of the estimate that a case tries, and their names.
-fn settings(random: &mut Random, wanted: &mut Wanted) -> Vec<&'static str> {
+/// What a case tries, in words, and the settings of its estimate.
+fn settings(random: &mut Random, recipe: &mut Value, machine: &[String]) -> Vec<&'static str> {
     let mut named = Vec::new();
-    wanted.estimator = json!({ "estimate": "gauss-newton" });
-    let machine: Vec<String> = wanted.parameters.iter().filter(|name| *name != "art.*").cloned().collect();
-    if random.chance(0.45) {
-        let kept = random.count(0, machine.len());
+    let fit = &mut recipe["stages"]["fit"];
+    if random.chance(0.45) && !machine.is_empty() {
         let candidates = random.shuffled(&machine.iter().map(String::as_str).collect::<Vec<_>>());
-        wanted.estimator["select"] = json!({
-            "candidates": candidates[kept..],
+        fit["select"] = json!({
+            "candidates": candidates[random.count(0, machine.len())..],
             "level": random.of(&[1e-6, 1e-4, 1e-2, 0.1, 0.5]),
             "direction": random.of(&["backward", "forward", "both"]),
         });
-        // Some of them are there, and some are not.
-        for name in &candidates {
-            if random.chance(0.5) {
-                wanted.truth.remove(*name);
-            }
-        }
         named.push("select");
     } else if random.chance(0.3) {
-        wanted.estimator["robust"] = json!(random.of(&["huber", "tukey"]));
+        fit["robust"] = json!(random.of(&["huber", "tukey"]));
         named.push("robust");
     }
+    if random.chance(0.4) && !named.contains(&"robust") {
+        fit["variance"] = json!("per-stage");
+        named.push("per-stage");
+    }
+    if random.chance(0.4) {
+        let folds = random.count(2, 5);
+        recipe["stages"]["unseen"] = json!({ "validate": "hold-out", "of": "fit", "rows": "art", "folds": folds });
+        named.push("hold-out");
+    }
+    recipe["stages"]["left"] = json!({ "validate": "residuals", "of": "fit" });
     named
 }
 
@@ -96,10 +97,19 @@ struct Measured {
 fn measured(random: &mut Random, seed: u64, number: u64, folder: &Path) -> Option<Measured> {
     let case = Case::of(random, &ARTEFACTS, folder);
     let mut wanted = wanted(random, &case);
-    std::mem::take(&mut wanted.known).iter().for_each(|name| drop(wanted.truth.remove(name)));
-    let mut named = settings(random, &mut wanted);
-    let mut text = recipe(&case, &wanted, random);
-    fs::write(folder.join("recipe.yaml"), text.to_string()).expect("the folder is there");
+    wanted.estimator = json!({ "estimate": "gauss-newton" });
+    for name in std::mem::take(&mut wanted.known) {
+        wanted.truth.remove(&name);
+    }
+    // Some errors are there, and some are not.
+    let (there, all) = (random.between(0.3, 1.5), wanted.truth.keys().cloned().collect::<Vec<String>>());
+    for name in all {
+        if !random.chance(there) {
+            wanted.truth.remove(&name);
+        }
+    }
+    let mut recipe = recipe(&case, &wanted, random);
+    fs::write(folder.join("recipe.yaml"), recipe.to_string()).expect("the folder is there");
     let truth = json!({ "parameters": wanted.truth, "noise": { "probing_sigma_mm": 1e-3 } });
     fs::write(folder.join("truth.json"), truth.to_string()).expect("the folder is there");
     let registry = Registry::built_in().expect("the plugins have different names");
@@ -109,20 +119,32 @@ fn measured(random: &mut Random, seed: u64, number: u64, folder: &Path) -> Optio
     simulated.ok()?.write(&measured).ok()?;
     let file = measured.join("programme.csv");
     let rows = fs::read_to_string(&file).expect("it was simulated").lines().count() - 1;
-    text["stages"]["left"] = json!({ "validate": "residuals", "of": "fit" });
-    if random.chance(0.4) {
-        text["stages"]["unseen"] =
-            json!({ "validate": "hold-out", "of": "fit", "rows": "art", "folds": random.count(2, 5) });
-        named.push("hold-out");
+    let in_two = random.chance(0.4);
+    if in_two {
+        halve(random, &mut recipe, &file);
     }
-    if random.chance(0.4) {
-        halve(random, &mut text, &file);
-        named.push("two stages");
+    let mut machine: Vec<String> = wanted.parameters.iter().filter(|name| *name != "art.*").cloned().collect();
+    if random.chance(0.9) {
+        machine = determined(&mut recipe, &measured)?;
     }
+    let mut named = settings(random, &mut recipe, &machine);
+    named.extend(in_two.then_some("two stages"));
     let words = if named.is_empty() { "plain".to_owned() } else { named.join(", ") };
     let kind = format!("{:?}, {words}", case.artefact);
     let allowed = if named.contains(&"robust") { ALLOWED_OF_WEIGHTS } else { ALLOWED };
-    Some(Measured { kind, recipe: text, rows, allowed })
+    Some(Measured { kind, recipe, rows, allowed })
+}
+
+/// Leaves out what the rows do not determine; gives the parameters of the machine that are left. None where nothing is left.
+fn determined(recipe: &mut Value, folder: &Path) -> Option<Vec<String>> {
+    let mut dropping = recipe.clone();
+    dropping["stages"]["fit"]["on_confounded"] = json!("drop");
+    let outcome = Said::new(folder, &dropping).outcome.ok()?;
+    let fit = outcome.fits.iter().find(|fit| fit.name == "fit")?;
+    let names = fit.problem.unknowns.iter().filter(|unknown| !fit.calibration.fit.dropped.contains(&unknown.name));
+    let left: Vec<_> = names.collect();
+    recipe["stages"]["fit"]["parameters"] = left.iter().map(|unknown| unknown.name.as_str()).collect();
+    Some(left.iter().filter(|unknown| unknown.owner == Owner::Machine).map(|unknown| unknown.name.clone()).collect())
 }
 
 /// Every other row for an artefact stage of its own, which states another uncertainty.
@@ -202,7 +224,7 @@ fn one(seed: u64, number: u64) -> Ended {
 fn end(said: &Said) -> String {
     match &said.outcome {
         Err(message) if message.starts_with("the data determine") => "refused".to_owned(),
-        Err(_) => "other".to_owned(),
+        Err(message) => format!("other: {}", shortened(message)),
         Ok(outcome) => match &Said::calibration(outcome).fit.selection {
             Some(selection) if selection.kept.is_empty() => "estimated, none kept".to_owned(),
             Some(selection) if selection.left_out.is_empty() => "estimated, all kept".to_owned(),
@@ -257,6 +279,19 @@ fn selected(one: &Calibration, other: &Calibration) -> Option<String> {
 /// Whether values, uncertainties and figures of the fit are the same.
 fn agree(one: &Calibration, other: &Calibration, allowed: f64, apart: &mut f64) -> Vec<String> {
     let mut broken = Vec::new();
+    for (own, found) in one.fit.variance.iter().zip(&other.fit.variance) {
+        let near = |one: f64, other: f64| (one / other - 1.0).abs() <= allowed;
+        let freedom = match (own.degrees_of_freedom, found.degrees_of_freedom) {
+            (Some(one), Some(other)) => (one - other).abs() <= 1e-6 * one,
+            (one, other) => one.is_none() && other.is_none(),
+        };
+        if own.stage != found.stage || !near(own.factor, found.factor) || !freedom {
+            broken.push(format!("{own:?} and {found:?}"));
+        }
+    }
+    if one.fit.variance.len() != other.fit.variance.len() {
+        broken.push("not as many factors".to_owned());
+    }
     let fit = |of: &Calibration| (of.fit.observations, of.fit.unknowns, of.fit.rank, of.fit.degrees_of_freedom);
     if fit(one) != fit(other) {
         broken.push(format!("observations, unknowns, rank, degrees of freedom: {:?} and {:?}", fit(one), fit(other)));

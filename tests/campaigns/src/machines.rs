@@ -240,7 +240,7 @@ fn judge(folder: &Path, registry: &Registry, wanted: &Wanted, kind: String) -> (
 }
 
 /// A message with its numbers hidden, so that like ones are counted together.
-fn shortened(message: &str) -> String {
+pub(crate) fn shortened(message: &str) -> String {
     let line: String = message.lines().next().unwrap_or_default().chars().take(70).collect();
     let mut text = String::new();
     for character in line.chars() {
