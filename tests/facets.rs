@@ -146,7 +146,7 @@ fn touches_beside_the_points_in_a_part_of_the_rows_are_told() {
     for seed in 0..12 {
         let mut random = Random::new(200 + seed);
         let within = [0.3, 60.0][seed as usize % 2];
-        let mut place = |touch| (touch % 5, [random.within(-within, within), random.within(-within, within)]);
+        let mut place = |touch: usize| (touch % 5, [random.within(-within, within), random.within(-within, within)]);
         let places: Vec<(usize, [f64; 2])> = (0..45).map(&mut place).collect();
         let good = checked(&places);
         assert!(!good.contains(words), "{seed}: {good}");
