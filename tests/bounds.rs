@@ -6,9 +6,9 @@ use std::path::Path;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
-use abbe_core::harmless;
+use abbe_core::{Monitor, harmless};
 
-use crate::support::{Printed, SMALL, Small, json_file, program};
+use crate::support::{Printed, SMALL, Small, json_file, program, registry};
 
 const RECIPE: &str = "recipe.yaml";
 
@@ -281,6 +281,21 @@ fn the_time_of_a_run_has_a_limit() {
 
 /// Escape sequences of terminals, 8-bit ones and reversed text.
 const EVIL: &str = "\u{1b}[2J\u{9b}31m\u{202e}\u{7}";
+
+/// A time limit that ends when all estimates are there costs no page and no residuals.
+#[test]
+fn what_is_made_of_results_that_are_there_has_no_time_limit() {
+    let small = Small::new();
+    let prepared = abbe_engine::prepare(&small.path(RECIPE), &registry()).expect("a recipe");
+    let mut outcome = prepared.run(&Monitor::default()).expect("a run");
+    for fit in &mut outcome.fits {
+        fit.problem.monitor = fit.problem.monitor.clone().with_time_limit(Duration::ZERO);
+        assert!(fit.problem.residuals(&fit.problem.start()).is_err(), "the time is over");
+    }
+    assert!(abbe::attach_report(&mut outcome).is_some());
+    let names: Vec<String> = outcome.attached.iter().map(|(name, _)| name.display().to_string()).collect();
+    assert_eq!(names, ["fine.residuals.csv", "rough.residuals.csv", "report.html"]);
+}
 
 #[test]
 fn no_text_from_files_reaches_a_terminal_as_it_is() {

@@ -4,6 +4,8 @@ mod at_once;
 mod manifests;
 pub(crate) mod plant;
 pub(crate) mod shards;
+#[cfg(unix)]
+mod signals;
 mod trials;
 mod wrong;
 

@@ -311,9 +311,9 @@ fn trend(tests: &[Test], series: &Series, limits: &ChartLimits, settings: &Setti
         .collect();
     let charts = Charts::of(&normalised, &settings.charts, limits);
     let scatters = decided.as_ref().is_none_or(|decided| by_chance(decided.left) < settings.significance);
-    let others_scatter = decided.as_ref().is_some_and(|decided| {
-        by_chance(without_farthest(decided.left, &charts.normalised)) < settings.significance
-    });
+    let others_scatter = decided
+        .as_ref()
+        .is_some_and(|decided| by_chance(without_farthest(decided.left, &charts.normalised)) < settings.significance);
     let (change, gain, left) = match decided {
         Some(Decided { change, gain, left }) => (change, gain, by_chance(left)),
         None => (Change::None, 0.0, 1.0),
