@@ -112,5 +112,8 @@ impl Table {
 }
 
 fn failed(path: &Path, error: csv::Error) -> Error {
-    Error::data(format!("the file cannot be written: {error}")).in_file(path)
+    match error.into_kind() {
+        csv::ErrorKind::Io(error) => unwritable(path, &error),
+        kind => Error::data(format!("the file cannot be written: {kind:?}")).in_file(path),
+    }
 }

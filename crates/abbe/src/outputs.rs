@@ -76,13 +76,29 @@ pub fn are_different(named: &[(&str, &Path)]) -> Result<()> {
 
 /// Writes a file whole or not at all, in the place of an earlier one; what else was linked to that is not touched. A link stays one.
 pub fn replace(file: &Path, content: &str) -> Result<()> {
-    let place = abbe_files::place(file);
-    let folder = place.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let written = temporary_file(folder).and_then(|mut new| {
-        new.write_all(content.as_bytes())?;
-        new.persist(&place).map_err(|error| error.error)
-    });
-    written.map(drop).map_err(|error| cannot_be_written(file, &error))
+    replace_all([(file.to_owned(), content)])
+}
+
+/// Writes files as [`replace`] does, and none if the disk does not take them all.
+pub fn replace_all<'a>(files: impl IntoIterator<Item = (PathBuf, &'a str)>) -> Result<()> {
+    let written = |(file, content): (PathBuf, &str)| {
+        let place = abbe_files::place(&file);
+        let folder = place.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let written = temporary_file(folder).and_then(|mut new| {
+            new.write_all(content.as_bytes())?;
+            // Closed: many files may be on their way.
+            Ok(new.into_temp_path())
+        });
+        match written {
+            Ok(new) => Ok((file, place, new)),
+            Err(error) => Err(cannot_be_written(&file, &error)),
+        }
+    };
+    let written: Vec<_> = files.into_iter().map(written).collect::<Result<_>>()?;
+    for (file, place, new) in written {
+        new.persist(&place).map_err(|error| cannot_be_written(&file, &error.error))?;
+    }
+    Ok(())
 }
 
 /// Fails if no file can be written there: the folder is asked for room for a name, and nothing stays.

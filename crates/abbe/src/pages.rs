@@ -32,8 +32,15 @@ pub fn write(registry: &Registry, folder: &Path) -> Result<String> {
     }
     // A signal waits until all are there.
     crate::interrupt::while_writing(|| {
+        let is_new = !folder.exists();
         std::fs::create_dir_all(folder).map_err(|error| wrong(folder, error))?;
-        pages.iter().try_for_each(|(name, text)| crate::outputs::replace(&folder.join(name), text))
+        let written =
+            crate::outputs::replace_all(pages.iter().map(|(name, text)| (folder.join(name), text.as_str())));
+        if written.is_err() && is_new {
+            // It is removed only if nothing is in it.
+            let _ = std::fs::remove_dir(folder);
+        }
+        written
     })?;
     Ok(format!("{} pages in {}\n", pages.len() - 1, folder.display()))
 }
