@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Value, json};
 
 use crate::misread::changed;
-use crate::support::{Variant, abbe, read, recipes, temporary, write};
+use crate::support::{Random, Variant, abbe, read, recipes, temporary, write};
 
 /// What a run says in its JSON, and its status.
 fn summary(recipe: &Variant, folder: &Path) -> (i32, Value) {
@@ -319,6 +319,29 @@ fn rows_that_are_copied_into_the_file_of_another_stage_are_told() {
     assert_eq!(told(&recipe), 0);
     recipe.stage("again")["path"] = file("copied.csv", &[&second[..20], &first[40..70], &second[50..]].concat());
     assert_eq!(told(&recipe), 1);
+}
+
+/// Copies within the file of one stage are not told as those of another stage, which reads a file with the same columns.
+#[test]
+fn rows_that_are_copied_within_the_file_of_one_of_two_stages_are_told() {
+    let recipe = Variant::of(&recipes()["cylinder-kx8"]).only(&["fit-both"]);
+    for seed in 0..4 {
+        let mut random = Random::new(seed);
+        let folder = temporary();
+        let stage = ["touches-s1", "touches-s2"][seed as usize % 2];
+        let text = read(&recipe.path(stage, "path"));
+        let rows: Vec<&str> = text.lines().filter(|line| !line.starts_with('#')).skip(1).collect();
+        let count = 10 + random.below(30);
+        let first = random.below(rows.len() - count);
+        let block = rows[first..first + count].join("\n");
+        write(&folder.path().join("copied.csv"), &format!("{}\n{block}\n", text.trim_end()));
+        let recipe = recipe.clone().set(stage, "path", json!(folder.path().join("copied.csv")));
+        let (_, found) = summary(&recipe, folder.path());
+        let said = texts(&found["remarks"]);
+        let rows = format!("{count} rows are in the data twice");
+        assert!(said.iter().any(|text| text.contains(&rows)), "{seed}: {count} rows of {stage}: {said:?}");
+        assert!(!said.iter().any(|text| text.contains("s1 and s2")), "{seed}: {said:?}");
+    }
 }
 
 /// Files that were exchanged, and a certificate of another sphere, where the residuals of all rows stay near what is stated.

@@ -9,7 +9,7 @@ use abbe_core::{
 
 use abbe_numerics::resolution;
 
-use crate::repeated_rows::{copied_rows, repeated_in_words};
+use crate::repeated_rows::{copied_rows, copied_stretches, repeated_in_words};
 
 /// Rows of a data set that are the same in every cell, but for a label that counts them: a file that was read twice, or a row that was
 /// copied.
@@ -146,7 +146,7 @@ fn file_of(data: &Dataset, row: DataRow) -> String {
     data.files.get(data.origins[row].file).map_or(String::new(), |file| file.display().to_string())
 }
 
-/// Rows that follow each other in both data sets with the same numbers, as [`copied_rows`].
+/// Rows that follow each other in both data sets with the same numbers, as [`copied_rows`]. Copies within one of them are others.
 fn copied_between(
     (first, earlier): (&Dataset, Vec<DataRow>),
     (second, rows): (&Dataset, &[DataRow]),
@@ -174,8 +174,11 @@ fn copied_between(
     let origins = first.origins.iter().chain(&second.origins).copied().collect();
     let both = Dataset { columns: one.into_iter().map(column).collect(), origins, ..Dataset::default() };
     let later = rows.iter().map(|row| DataRow(row.0 + count));
-    let (found, [early, late]) = copied_rows(&both, earlier.into_iter().chain(later), in_turn, true)?;
-    Some((found, [early, DataRow(late.0 - count)]))
+    let found = copied_stretches(&both, earlier.into_iter().chain(later), in_turn, true);
+    let across = |(_, [early, late]): &(usize, [DataRow; 2])| early.0 < count && late.0 >= count;
+    let across: Vec<(usize, [DataRow; 2])> = found.into_iter().filter(across).collect();
+    let &(_, [early, late]) = across.first()?;
+    Some((across.iter().map(|(rows, _)| rows).sum(), [early, DataRow(late.0 - count)]))
 }
 
 /// The rows of a data set that a set uses.

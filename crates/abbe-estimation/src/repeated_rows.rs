@@ -19,19 +19,27 @@ pub fn copied_rows(
     in_turn: usize,
     any_labels: bool,
 ) -> Option<(usize, [DataRow; 2])> {
+    let stretches = copied_stretches(data, rows, in_turn, any_labels);
+    let &(_, first) = stretches.first()?;
+    Some((stretches.iter().map(|(count, _)| count).sum(), first))
+}
+
+/// The stretches of such rows: how many each has, and the first of them behind its earlier one.
+pub fn copied_stretches(
+    data: &Dataset,
+    rows: impl IntoIterator<Item = DataRow>,
+    in_turn: usize,
+    any_labels: bool,
+) -> Vec<(usize, [DataRow; 2])> {
     let is_of_the_content = |column: &Column| match &column.values {
         Values::Numbers(_) => column.header.quantity != Quantity::Time,
         Values::Labels(_) => !any_labels && !["day", "cycle"].contains(&column.header.name.as_str()),
     };
     let same = same_in(data, rows, is_of_the_content);
-    let (mut count, mut first) = (0, None);
     let follows =
         |pair: &(DataRow, DataRow), next: &(DataRow, DataRow)| next.0.0 == pair.0.0 + 1 && next.1.0 == pair.1.0 + 1;
-    for run in same.chunk_by(follows).filter(|run| run.len() >= in_turn) {
-        count += run.len();
-        first = first.or(Some([run[0].0, run[0].1]));
-    }
-    first.map(|first| (count, first))
+    let stretches = same.chunk_by(follows).filter(|run| run.len() >= in_turn);
+    stretches.map(|run| (run.len(), [run[0].0, run[0].1])).collect()
 }
 
 /// Rows that are the same as an earlier one in these columns, each with the last one of these.

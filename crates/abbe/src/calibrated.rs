@@ -125,7 +125,9 @@ fn temperatures(calibration: &Calibration, file: &Path) -> Result<Temperatures> 
 }
 
 fn read(file: &Path) -> Result<Calibration> {
-    let unreadable = |error: std::io::Error| Error::usage(format!("the file cannot be read: {error}")).in_file(file);
+    let unreadable = |error: std::io::Error| {
+        Error::usage(format!("the file cannot be read: {}", abbe_files::why(&error))).in_file(file)
+    };
     let text = read_text(file, LARGEST_RESULT).map_err(unreadable)?;
     Calibration::from_json(&text).map_err(|error| error.in_file(file))
 }

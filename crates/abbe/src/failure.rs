@@ -140,8 +140,11 @@ impl Excerpt {
         let first = line.saturating_sub(1);
         let lines: Vec<&str> = lines(text).skip(first).take(2 + line - first).collect();
         let is_short = |line: &&str| line.chars().nth(LONGEST_LINE).is_none();
+        if !lines.iter().all(is_short) {
+            return None;
+        }
         let text: String = lines.iter().map(|line| format!("{}\n", harmless(&without_password(line)))).collect();
-        lines.iter().all(is_short).then_some(Self { text, first, meant: line - first })
+        Some(Self { text, first, meant: line - first })
     }
 
     /// The span at a column of the line that is meant, to the end of the word.

@@ -94,7 +94,7 @@ pub fn cancel_on_signal(monitor: Monitor) -> Result<()> {
         abbe_plugin::expect_exit();
         std::process::exit(i32::from(status()));
     })
-    .map_err(|error| Error::data(format!("signals cannot be handled: {error}")))
+    .map_err(|error| Error::data(format!("signals cannot be handled: {}", abbe_files::why(&error))))
 }
 
 /// Ends the process when this time and `grace` are over, if the work has not ended by itself and written its files; the error is JSON
@@ -107,7 +107,7 @@ pub fn end_after(limit: Option<Duration>, grace: Duration, json: bool) -> Result
         if DONE.load(Ordering::SeqCst) {
             return;
         }
-        let message = format!("the time limit of {} s is over, and the work does not end", limit.as_secs_f64());
+        let message = format!("the time limit of {} s is over, and the work is not at its end", limit.as_secs_f64());
         let error = Error::out_of_time(message);
         // A closed output must not keep the process alive.
         let _ = match json {

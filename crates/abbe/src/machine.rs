@@ -89,8 +89,9 @@ impl Machine {
             // The recipe was made here: its lines say nothing.
             return made.map_err(|error| Error { place: None, stage: None, ..error });
         }
-        let unreadable =
-            |error: std::io::Error| Error::usage(format!("the file cannot be read: {error}")).in_file(&path);
+        let unreadable = |error: std::io::Error| {
+            Error::usage(format!("the file cannot be read: {}", abbe_files::why(&error))).in_file(&path)
+        };
         let content = abbe_files::read_text(&path, abbe_files::LARGEST_TEXT).map_err(unreadable)?;
         if content.lines().any(|line| line.starts_with("stages:")) {
             return prepare(&path, &libraries.registry(Some(&path))?);

@@ -192,7 +192,8 @@ impl ProgramOptions {
         options.rotary_decimals = usize::from(self.rotary_decimals);
         options.tools = Tools { only: self.tool_length_mm, by_number: BTreeMap::new() };
         if let Some(file) = &self.tools {
-            let unreadable = |error| Error::usage(format!("the file cannot be read: {error}")).in_file(file);
+            let unreadable =
+                |error| Error::usage(format!("the file cannot be read: {}", abbe_files::why(&error))).in_file(file);
             options.tools = Tools::read(&read_text(file, LARGEST_RESULT).map_err(unreadable)?, file)?;
         }
         for (system, values) in &self.offset {
@@ -217,7 +218,9 @@ impl ProgramOptions {
 impl Asked<'_> {
     /// Carries it out: the text to print, and the exit status.
     pub fn run(&self, known: &Known, registry: &Registry) -> Result<(String, u8)> {
-        let unreadable = |error| Error::usage(format!("the file cannot be read: {error}")).in_file(self.calibration);
+        let unreadable = |error| {
+            Error::usage(format!("the file cannot be read: {}", abbe_files::why(&error))).in_file(self.calibration)
+        };
         let text = read_text(self.calibration, LARGEST_RESULT).map_err(unreadable)?;
         let options = self.options.options(self.program, mark(text.as_bytes()))?;
         check_confounded_anywhere(known.model.as_ref(), &known.calibration, &BTreeMap::new())?;
@@ -411,7 +414,7 @@ fn opened(file: &Path) -> Result<BufReader<File>> {
     let opened = abbe_files::open(file);
     opened
         .map(BufReader::new)
-        .map_err(|error| Error::usage(format!("the program cannot be read: {error}")).in_file(file))
+        .map_err(|error| Error::usage(format!("the program cannot be read: {}", abbe_files::why(&error))).in_file(file))
 }
 
 fn is_within(checked: &Checked, options: &Options) -> bool {

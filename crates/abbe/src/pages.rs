@@ -34,8 +34,7 @@ pub fn write(registry: &Registry, folder: &Path) -> Result<String> {
     crate::interrupt::while_writing(|| {
         let is_new = !folder.exists();
         std::fs::create_dir_all(folder).map_err(|error| wrong(folder, error))?;
-        let written =
-            crate::outputs::replace_all(pages.iter().map(|(name, text)| (folder.join(name), text.as_str())));
+        let written = crate::outputs::replace_all(pages.iter().map(|(name, text)| (folder.join(name), text.as_str())));
         if written.is_err() && is_new {
             // It is removed only if nothing is in it.
             let _ = std::fs::remove_dir(folder);

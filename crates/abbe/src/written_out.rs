@@ -67,7 +67,8 @@ pub struct WrittenOut {
 impl WrittenOut {
     /// Starts the interpreter on a program.
     pub fn start(file: &Path, options: &Options) -> Result<Self> {
-        let unreadable = |error| Error::usage(format!("the program cannot be read: {error}")).in_file(file);
+        let unreadable =
+            |error| Error::usage(format!("the program cannot be read: {}", abbe_files::why(&error))).in_file(file);
         let prepared = prepare(&read_text(file, LARGEST_RESULT).map_err(unreadable)?, options)?;
         let failed = |error: std::io::Error| Error::usage(format!("a temporary file cannot be written: {error}"));
         let folder = TemporaryFolder::new().map_err(failed)?;
