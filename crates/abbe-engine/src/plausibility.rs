@@ -6,8 +6,8 @@ use std::iter::repeat_n;
 use std::ops::RangeInclusive;
 
 use abbe_core::{
-    Calibration, Class, Dataset, Error, Fit, ImplausibleValue, Kind, KinematicModel, ObservationSet, ParameterRole,
-    Problem, Quantity, Result, Status, Unit,
+    Calibration, Class, Dataset, Error, Fit, ImplausibleValue, Kind, KinematicModel, ObservationSet, Parameter,
+    ParameterRole, Problem, Quantity, Result, Status, Unit,
 };
 use abbe_estimation::{
     LargeError, absurd_error, contradicted, dead_channels, implausible_errors, large_errors, likely_causes,
@@ -52,6 +52,25 @@ fn of_instruments(fit: &Fit) -> Vec<Error> {
     dead_channels(&fit.problem).into_iter().map(|words| Error::data(words).help(help)).collect()
 }
 
+/// The feature that is found farthest from its nominal place, if no artefact is so far: the tool length or a place has another unit.
+fn of_features(fit: &Fit) -> Option<Error> {
+    let at = fit.problem.with_values(&fit.problem.values_of(&fit.calibration));
+    let of_set = |set: &ObservationSet| {
+        let own = set.info().unknowns.iter().zip(set.own.iter().zip(&set.info().start));
+        let features = own.filter(|(parameter, _)| parameter.role == ParameterRole::Feature);
+        let lengths = features.filter(|(parameter, _)| parameter.unit == Unit::MM);
+        let named = |(parameter, (value, start)): (&Parameter, (&f64, &f64))| {
+            (format!("{}.{}", set.name, parameter.name), value - start)
+        };
+        lengths.map(named).collect::<Vec<_>>()
+    };
+    let all = at.sets.iter().flat_map(of_set);
+    let (name, off) = all.max_by(|(_, one), (_, other)| one.abs().total_cmp(&other.abs()))?;
+    let message = format!("no artefact is so far off: `{name}` is found {off:.0} mm from its nominal place");
+    let help = "look for a wrong unit, tool length or work offset, and at the nominal places";
+    (off.abs() > FEATURES[0]).then(|| Error::data(message).help(help))
+}
+
 impl Prepared {
     /// The estimates from measurements with errors that are implausible; these are marked in their calibrations. What is large, and may
     /// be real, is told only.
@@ -67,8 +86,11 @@ impl Prepared {
                 }
                 continue;
             }
-            let errors =
-                of_statements(fit).into_iter().chain(of_instruments(fit)).map(|error| error.stage(&stage.name));
+            let errors = of_statements(fit)
+                .into_iter()
+                .chain(of_instruments(fit))
+                .chain(of_features(fit))
+                .map(|error| error.stage(&stage.name));
             failures.extend(errors.map(|error| Failure::own(stage, self.recipe.locate(error))));
             let plausible = &self.plausible[&stage.name];
             let mut large = self.located(stage, large_errors(plausible, &fit.problem, &fit.calibration))?;

@@ -138,6 +138,9 @@ fn tilted_probe(problem: &Problem) -> Option<String> {
 /// Median distance from nominal contact that is told, mm: features are where they should be within a millimetre.
 const MISSED: f64 = 1.0;
 
+/// The same of a tenth of the rows, mm: a wrong place or direction of a rotary axis shows only where that is turned.
+const MISSED_BY_MANY: f64 = 10.0;
+
 /// How far the nominal machine is from contact at the recorded positions, if that is too far for a good set-up: of a set, or of some
 /// of its files.
 fn missed(problem: &Problem) -> Vec<String> {
@@ -177,7 +180,8 @@ fn missed(problem: &Problem) -> Vec<String> {
 fn far(mut sizes: Vec<f64>) -> Option<(f64, f64)> {
     sizes.sort_by(f64::total_cmp);
     let (median, largest) = (*sizes.get(sizes.len() / 2)?, *sizes.last()?);
-    (median > MISSED).then_some((median, largest))
+    let of_many = *sizes.get(sizes.len() * 9 / 10)?;
+    (median > MISSED || of_many > MISSED_BY_MANY).then_some((median, largest))
 }
 
 /// Own unknowns of the set-up ([`ParameterRole::SetUp`]) that are neither estimated nor known from an earlier estimate: their
