@@ -84,6 +84,6 @@ fn an_axial_motion_below_the_noise_is_not_asked_for() {
             recipe.stage(run)["path"] = json!(changed(&file, folder.path(), "z_um", only_noise));
         }
         let said = said(&recipe, folder.path());
-        assert_eq!(said.contains("does it see the artefact"), is_told, "{noise}: {said}");
+        assert_eq!(said.contains("z moves by"), is_told, "{noise}: {said}");
     }
 }

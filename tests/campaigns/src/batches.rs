@@ -118,10 +118,11 @@ fn measured(random: &mut Random, seed: u64, number: u64, folder: &Path) -> Optio
     let measured = folder.join("measured");
     simulated.ok()?.write(&measured).ok()?;
     let file = measured.join("programme.csv");
-    let rows = fs::read_to_string(&file).expect("it was simulated").lines().count() - 1;
+    let (head, rows) = simulated_rows(&file);
+    fs::write(&file, head.clone() + &rows.concat()).expect("the folder is there");
     let in_two = random.chance(0.4);
     if in_two {
-        halve(random, &mut recipe, &file);
+        halve(random, &mut recipe, &file, (&head, &rows));
     }
     let mut machine: Vec<String> = wanted.parameters.iter().filter(|name| *name != "art.*").cloned().collect();
     if random.chance(0.9) {
@@ -132,7 +133,7 @@ fn measured(random: &mut Random, seed: u64, number: u64, folder: &Path) -> Optio
     let words = if named.is_empty() { "plain".to_owned() } else { named.join(", ") };
     let kind = format!("{:?}, {words}", case.artefact);
     let allowed = if named.contains(&"robust") { ALLOWED_OF_WEIGHTS } else { ALLOWED };
-    Some(Measured { kind, recipe, rows, allowed })
+    Some(Measured { kind, recipe, rows: rows.len(), allowed })
 }
 
 /// Leaves out what the rows do not determine; gives the parameters of the machine that are left. None where nothing is left.
@@ -147,16 +148,21 @@ fn determined(recipe: &mut Value, folder: &Path) -> Option<Vec<String>> {
     Some(left.iter().filter(|unknown| unknown.owner == Owner::Machine).map(|unknown| unknown.name.clone()).collect())
 }
 
-/// Every other row for an artefact stage of its own, which states another uncertainty.
-fn halve(random: &mut Random, recipe: &mut Value, file: &Path) {
+/// A table as it was simulated: what stands before its rows, and these, each with a label of a group.
+fn simulated_rows(file: &Path) -> (String, Vec<String>) {
     let text = fs::read_to_string(file).expect("it was simulated");
-    let half = |other: bool| -> String {
-        let lines = text.lines().enumerate().filter(|(line, _)| *line == 0 || (line % 2 == 1) == other);
-        lines.map(|(_, line)| format!("{line}\n")).collect()
-    };
-    let second = file.with_file_name("second.csv");
-    fs::write(&second, half(true)).expect("the folder is there");
-    fs::write(file, half(false)).expect("the folder is there");
+    let (comments, table): (Vec<&str>, Vec<&str>) = text.lines().partition(|line| line.starts_with('#'));
+    let comments: String = comments.iter().map(|line| format!("{line}\n")).collect();
+    let header = table.first().copied().unwrap_or_default();
+    let rows = table.iter().skip(1).enumerate().map(|(row, line)| format!("{line},{}\n", row % 7));
+    (format!("{comments}{header},group\n"), rows.collect())
+}
+
+/// Every other row for an artefact stage of its own, which states another uncertainty.
+fn halve(random: &mut Random, recipe: &mut Value, file: &Path, (head, rows): (&str, &[String])) {
+    let half = |first: usize| rows.iter().skip(first).step_by(2).fold(head.to_owned(), |text, row| text + row);
+    fs::write(file.with_file_name("second.csv"), half(1)).expect("the folder is there");
+    fs::write(file, half(0)).expect("the folder is there");
     let stages = &mut recipe["stages"];
     stages["data-2"] = json!({ "ingest": "csv", "path": "second.csv" });
     stages["art-2"] = stages["art"].clone();
