@@ -4,6 +4,7 @@ use std::fs;
 use std::io::Read;
 use std::path::Path;
 use std::process::Stdio;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use abbe_core::{Monitor, harmless};
@@ -289,7 +290,8 @@ fn what_is_made_of_results_that_are_there_has_no_time_limit() {
     let prepared = abbe_engine::prepare(&small.path(RECIPE), &registry()).expect("a recipe");
     let mut outcome = prepared.run(&Monitor::default()).expect("a run");
     for fit in &mut outcome.fits {
-        fit.problem.monitor = fit.problem.monitor.clone().with_time_limit(Duration::ZERO);
+        let late = fit.problem.monitor.clone().with_time_limit(Duration::ZERO);
+        fit.problem = Arc::new(fit.problem.watched_by(late));
         assert!(fit.problem.residuals(&fit.problem.start()).is_err(), "the time is over");
     }
     assert!(abbe::attach_report(&mut outcome).is_some());

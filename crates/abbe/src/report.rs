@@ -1,6 +1,7 @@
 //! The page about a run.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use abbe_core::{Error, Registry, Result};
 use abbe_engine::{Outcome, REPORT};
@@ -13,7 +14,8 @@ use crate::outputs::{Written, is_free};
 /// costs no result. It is made of results that are there, so that a time limit which ends now does not count.
 pub fn attach(outcome: &mut Outcome) -> Option<Run> {
     for fit in &mut outcome.fits {
-        fit.problem.monitor = fit.problem.monitor.without_time_limit();
+        let problem = fit.problem.watched_by(fit.problem.monitor.without_time_limit());
+        fit.problem = Arc::new(problem);
     }
     match Run::of(outcome) {
         Ok((run, tables)) => {
