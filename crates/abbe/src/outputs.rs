@@ -86,8 +86,8 @@ pub fn replace_all<'a>(files: impl IntoIterator<Item = (PathBuf, &'a str)>) -> R
         let folder = place.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let written = temporary_file(folder).and_then(|mut new| {
             new.write_all(content.as_bytes())?;
-            // Closed: many files may be on their way.
-            Ok(new.into_temp_path())
+            // It stays open: one that is closed is what a command has left that was killed.
+            Ok(new)
         });
         match written {
             Ok(new) => Ok((file, place, new)),
