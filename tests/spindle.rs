@@ -433,7 +433,7 @@ fn runs_that_contradict_each_other_are_told() {
     };
     told(&run_with("run-600", "motion-600.csv", &["motion"], &slips), "does the encoder slip a little in every turn?");
     told(&run_with("run-600", "motion-600.csv", &["motion"], &thousandths), "has a sensor another range or unit here?");
-    told(&run_with("run-600", "motion-600.csv", &["motion"], &noise), "z moves by");
+    told(&run_with("run-600", "motion-600.csv", &["motion"], &noise), "the asynchronous motion z is 0.0120 um, and");
     let as_it_is = run_with("run-600", "motion-600.csv", &["motion"], &|_, _| {});
     assert_eq!((as_it_is.status, as_it_is.stderr.as_str()), (0, ""));
 }

@@ -86,11 +86,8 @@ impl Prepared {
                 }
                 continue;
             }
-            let errors = of_statements(fit)
-                .into_iter()
-                .chain(of_instruments(fit))
-                .chain(of_features(fit))
-                .map(|error| error.stage(&stage.name));
+            let errors =
+                of_statements(fit).into_iter().chain(of_instruments(fit)).map(|error| error.stage(&stage.name));
             failures.extend(errors.map(|error| Failure::own(stage, self.recipe.locate(error))));
             let plausible = &self.plausible[&stage.name];
             let mut large = self.located(stage, large_errors(plausible, &fit.problem, &fit.calibration))?;
@@ -100,6 +97,8 @@ impl Prepared {
             let causes = likely_causes(&fit.problem, &fit.calibration, &large);
             let Some(worst) = large.first().filter(|_| is_implausible) else {
                 causes.iter().for_each(|sentence| tracing::warn!("{}: {sentence}", fit.name));
+                let error = of_features(fit).map(|error| self.recipe.locate(error.stage(&stage.name)));
+                failures.extend(error.map(|error| Failure::own(stage, error)));
                 continue;
             };
             // Rows that lie in parts are not at hand: nothing can be tried.

