@@ -330,9 +330,9 @@ const CUT: f64 = 1e-6;
 const ROUNDING_OF_COST: f64 = 1e-9;
 
 /// Whether a place with this factor is lower than one with this sum of squares. Small steps change the sum by less than its rounding:
-/// there it is lower if a smaller step is left than the smallest so far, so that no steps lead round in a circle.
+/// there it is lower if less than half of the smallest step so far is left, so that no steps lead round in a circle or hardly shrink.
 fn is_lower(factor: &impl Steps, cost: f64, smallest: f64) -> bool {
-    let left_is_smaller = || step_of(factor).is_some_and(|(_, left)| left < smallest);
+    let left_is_smaller = || step_of(factor).is_some_and(|(_, left)| left < 0.5 * smallest);
     factor.cost() - cost <= 1e-12 * cost + f64::MIN_POSITIVE || (is_same(factor, cost) && left_is_smaller())
 }
 
