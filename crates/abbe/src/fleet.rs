@@ -195,7 +195,8 @@ impl Tries {
     }
 }
 
-/// Does what writes several files, or one of many jobs. A signal ends it between two jobs, and nothing temporary stays.
+/// Does what writes several files, or one of many jobs. A signal ends it where it asks the monitor, or when it is done: nothing temporary
+/// stays.
 fn whole<T>(work: impl FnOnce(&Monitor) -> Result<T>) -> Result<T> {
     let monitor = Monitor::new(|_| {});
     interrupt::cancel_on_signal(monitor.clone())?;
