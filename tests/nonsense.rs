@@ -125,6 +125,61 @@ fn wrong_lengths_of_the_set_up_are_found() {
     assert!(outcome.passes(), "{:?}", outcome.failures);
 }
 
+/// A place in another unit moves features and no error of the machine; where the artefact really stands there, the recipe says so.
+#[test]
+fn features_far_from_their_nominal_places_fail_unless_the_recipe_expects_them_there() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["rapid-verify-three-axis"]).only(&["calibrated"]);
+    let text = read(&recipe.path("artefact", "nominal"));
+    assert!(text.contains(",-205.000,"), "{text}");
+    fs::write(folder.path().join("points.csv"), text.replace(",-205.000,", ",995.000,")).expect("a file");
+    recipe.stage("artefact")["nominal"] = json!(folder.path().join("points.csv"));
+    let outcome = ran(&recipe, folder.path()).expect("it runs");
+    let error = &outcome.failures.first().expect("it fails").error;
+    let said = "is found 1200 mm from its nominal place; 1000 mm is plausible at most";
+    assert!(error.message.contains(said) && error.message.contains("`artefact."), "{error}");
+    assert!(error.help.as_ref().is_some_and(|help| help.contains("`plausible: { mm: { \"artefact.")), "{error:?}");
+    recipe.stage("calibrated")["plausible"] = json!({ "mm": { "artefact.*": 2000 } });
+    let outcome = ran(&recipe, folder.path()).expect("it runs");
+    assert!(outcome.passes(), "{:?}", outcome.failures);
+    recipe.stage("calibrated")["plausible"] = json!({ "mm": { "artefact.*": 1100 } });
+    assert!(!ran(&recipe, folder.path()).expect("it runs").failures.is_empty());
+    recipe.stage("calibrated")["plausible"] = json!({ "mm": { "table.*": 2000 } });
+    let error = ran(&recipe, folder.path()).err().expect("it is refused");
+    assert!(error.message.contains("`table.*` matches no parameter of the machine and no feature"), "{error}");
+}
+
+/// A wrong place of an axis shows in the rows that it turns: the median of all is that of a good set-up.
+#[test]
+fn contact_that_a_part_of_the_rows_misses_is_told() {
+    let remarks = |off: f64, every: usize| {
+        let folder = temporary();
+        let mut recipe = Variant::of(&recipes()["first-steps"]);
+        let text = read(&recipe.path("touches", "path"));
+        let mut lines = text.lines().filter(|line| !line.starts_with('#'));
+        let header = lines.next().expect("a header");
+        let x = header.split(',').position(|name| name == "X_mm").expect("a column");
+        let moved = lines.enumerate().map(|(row, line)| {
+            let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+            for cell in cells[x..x + 3].iter_mut().filter(|_| row % every == 0) {
+                *cell = format!("{}", cell.parse::<f64>().expect("a number") + off);
+            }
+            cells.join(",")
+        });
+        let written: Vec<String> = std::iter::once(header.to_owned()).chain(moved).collect();
+        fs::write(folder.path().join("changed.csv"), written.join("\n") + "\n").expect("a file");
+        recipe.stage("touches")["path"] = json!(folder.path().join("changed.csv"));
+        let planned = checked(&recipe, folder.path());
+        planned.expect("a plan").remove(0).identifiability.remarks
+    };
+    let told = |remarks: &[String]| remarks.iter().any(|remark| remark.contains("mm away from contact (median; "));
+    let some = remarks(18.0, 6);
+    assert!(told(&some), "{some:?}");
+    for good in [remarks(0.0, 6), remarks(18.0, 40)] {
+        assert!(!told(&good), "{good:?}");
+    }
+}
+
 #[test]
 fn what_is_plausible_is_said_of_parameters_that_exist() {
     let same = |_: &str, value: f64| value;

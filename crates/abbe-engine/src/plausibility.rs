@@ -10,7 +10,7 @@ use abbe_core::{
     ParameterRole, Problem, Quantity, Result, Status, Unit,
 };
 use abbe_estimation::{
-    LargeError, absurd_error, contradicted, dead_channels, implausible_errors, large_errors, likely_causes,
+    LargeError, Plausible, absurd_error, contradicted, dead_channels, implausible_errors, large_errors, likely_causes,
     likely_mistakes, opposite_factor, spoiling_row,
 };
 use abbe_recipe::Stage;
@@ -52,23 +52,29 @@ fn of_instruments(fit: &Fit) -> Vec<Error> {
     dead_channels(&fit.problem).into_iter().map(|words| Error::data(words).help(help)).collect()
 }
 
-/// The feature that is found farthest from its nominal place, if no artefact is so far: the tool length or a place has another unit.
-fn of_features(fit: &Fit) -> Option<Error> {
+/// The feature that is found farthest beyond where it may be: the tool length or a place has another unit.
+fn of_features(plausible: &Plausible, fit: &Fit) -> Option<Error> {
     let at = fit.problem.with_values(&fit.problem.values_of(&fit.calibration));
     let of_set = |set: &ObservationSet| {
         let own = set.info().unknowns.iter().zip(set.own.iter().zip(&set.info().start));
-        let features = own.filter(|(parameter, _)| parameter.role == ParameterRole::Feature);
-        let lengths = features.filter(|(parameter, _)| parameter.unit == Unit::MM);
-        let named = |(parameter, (value, start)): (&Parameter, (&f64, &f64))| {
-            (format!("{}.{}", set.name, parameter.name), value - start)
-        };
-        lengths.map(named).collect::<Vec<_>>()
+        let features = own.filter(|(own, _)| own.role == ParameterRole::Feature && own.unit == Unit::MM);
+        let judged = features.map(|(own, (value, start))| {
+            let name = format!("{}.{}", set.name, own.name);
+            let most = plausible.stated(&name, own.unit).unwrap_or(FEATURES[0]);
+            (name, (value - start).abs(), most)
+        });
+        judged.collect::<Vec<_>>()
     };
-    let all = at.sets.iter().flat_map(of_set);
-    let (name, off) = all.max_by(|(_, one), (_, other)| one.abs().total_cmp(&other.abs()))?;
-    let message = format!("no artefact is so far off: `{name}` is found {off:.0} mm from its nominal place");
-    let help = "look for a wrong unit, tool length or work offset, and at the nominal places";
-    (off.abs() > FEATURES[0]).then(|| Error::data(message).help(help))
+    let beyond = at.sets.iter().flat_map(of_set).filter(|(_, off, most)| off > most);
+    let (name, off, most) = beyond.max_by(|(_, one, _), (_, other, _)| one.total_cmp(other))?;
+    let message = format!(
+        "no artefact is so far off: `{name}` is found {off:.0} mm from its nominal place; {most} mm is plausible at most"
+    );
+    let help = format!(
+        "look for a wrong unit, tool length or work offset, and at the nominal places, or say in the estimate \
+         `plausible: {{ mm: {{ \"{name}\": .. }} }}`"
+    );
+    Some(Error::data(message).help(help))
 }
 
 impl Prepared {
@@ -97,7 +103,7 @@ impl Prepared {
             let causes = likely_causes(&fit.problem, &fit.calibration, &large);
             let Some(worst) = large.first().filter(|_| is_implausible) else {
                 causes.iter().for_each(|sentence| tracing::warn!("{}: {sentence}", fit.name));
-                let error = of_features(fit).map(|error| self.recipe.locate(error.stage(&stage.name)));
+                let error = of_features(plausible, fit).map(|error| self.recipe.locate(error.stage(&stage.name)));
                 failures.extend(error.map(|error| Failure::own(stage, error)));
                 continue;
             };
@@ -126,9 +132,10 @@ impl Prepared {
     /// Refuses true values that no machine has. What the recipe says to be plausible for one of the estimates of this machine may be
     /// true.
     pub(crate) fn check_truth(&self, machine: &str, truth: &Problem) -> Result<()> {
-        let mut refused: Option<Vec<LargeError>> = None;
+        let (mut refused, mut plausible): (Option<Vec<LargeError>>, Vec<&Plausible>) = (None, Vec::new());
         for stage in self.stages(Kind::Estimate).filter(has_rows) {
             if self.is_of(stage, machine)? {
+                plausible.push(&self.plausible[&stage.name]);
                 let found = implausible_errors(&self.plausible[&stage.name], truth)?;
                 let names: BTreeSet<&String> = found.iter().map(|error| &error.unknown.name).collect();
                 refused = Some(match refused {
@@ -138,7 +145,7 @@ impl Prepared {
             }
         }
         match refused.unwrap_or_default().as_slice() {
-            [] => check_own(truth),
+            [] => check_own(&plausible, truth),
             all @ [worst, ..] => {
                 let none = std::iter::empty();
                 Err(Error { class: Class::Use, ..implausible_error(worst, all, none, WRONG_TRUTH) })
@@ -170,12 +177,15 @@ const INPUTS: [f64; 2] = [20.0, 0.05];
 /// Smallest stated size, mm, whose true value is above zero: certificates are nearer to the truth than that.
 const LEAST_SIZE: f64 = 0.1;
 
-/// Refuses true values of artefacts and known inputs that nobody can mean.
-fn check_own(truth: &Problem) -> Result<()> {
+/// Refuses true values of artefacts and known inputs that nobody can mean, if no estimate says that they are plausible.
+fn check_own(plausible: &[&Plausible], truth: &Problem) -> Result<()> {
     for set in &truth.sets {
         let info = set.info();
         let own = info.unknowns.iter().zip(set.own.iter().zip(&info.start)).map(|(parameter, (value, start))| {
-            let most = if parameter.role == ParameterRole::Feature { FEATURES } else { OTHERS };
+            let mut most = if parameter.role == ParameterRole::Feature { FEATURES } else { OTHERS };
+            let name = format!("{}.{}", set.name, parameter.name);
+            let stated = plausible.iter().filter_map(|plausible| plausible.stated(&name, parameter.unit));
+            most[0] = stated.filter(|_| parameter.unit == Unit::MM).fold(most[0], f64::max);
             (parameter, value - start, most)
         });
         for (input, value) in info.inputs.iter().zip(&set.inputs) {

@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 
 use abbe_core::{
     Absent, AxisKind, Calibration, Owner, Parameter, ParameterRole, ProbeTerm, Problem, Quantity, Result, Status,
-    StatusRole, Unit, Unknown, matches,
+    StatusRole, Unit, Unknown,
 };
 
 use crate::plausible::Plausible;
@@ -219,7 +219,7 @@ fn judged(
         let is_lag = is_lag(at, unknown);
         let Some(effect) = (if is_lag { Some(1.0) } else { motions.effect(unknown) }) else { continue };
         let bound = match per_kelvin(unknown.unit) {
-            Some(most) if stated(plausible, unknown).is_none() => bound.min(most * effect),
+            Some(most) if plausible.stated(&unknown.name, unknown.unit).is_none() => bound.min(most * effect),
             _ => bound,
         };
         // Terms that are large where the travel is far from zero may cancel: what counts is the error motion that they make together.
@@ -281,20 +281,6 @@ pub fn absurd_error(problem: &Problem) -> Option<String> {
     None
 }
 
-/// What a recipe states for a parameter, mm, rad or s.
-fn stated(plausible: &Plausible, unknown: &Unknown) -> Option<f64> {
-    let (own, factor) = match unknown.unit.of {
-        Quantity::Length | Quantity::PerTemperature => (&plausible.mm, 1.0),
-        Quantity::Angle => (&plausible.mrad, 1e-3),
-        Quantity::Time => (&plausible.s, 1.0),
-        _ => return None,
-    };
-    // The longest pattern says most.
-    let stated = own.iter().filter(|(pattern, _)| matches(pattern, &unknown.name));
-    let most = stated.max_by_key(|(pattern, _)| pattern.trim_matches(['*', '?']).len());
-    most.map(|(_, bound)| bound * factor)
-}
-
 /// The largest plausible coefficient of temperature of this unit; none for other units.
 fn per_kelvin(unit: Unit) -> Option<f64> {
     let kelvin = Quantity::Temperature;
@@ -323,7 +309,7 @@ fn bound(plausible: &Plausible, problem: &Problem, unknown: &Unknown, change: f6
         Quantity::Time if matches!(role, ParameterRole::Probe { .. }) || is_lag(problem, unknown) => 2,
         _ => return None,
     };
-    if let Some(bound) = stated(plausible, unknown) {
+    if let Some(bound) = plausible.stated(&unknown.name, unknown.unit) {
         return Some(bound);
     }
     match role {
