@@ -217,13 +217,16 @@ impl Parts for RowsAtHand<'_> {
     }
 }
 
+/// Changes a sample of the rows.
+type ChangeOfSample<'a> = dyn Fn(&Problem) -> Result<Problem> + 'a;
+
 /// Rows in parts each of which is changed before anything is asked of it: fewer rows, other readings.
 ///
 /// Only parts that can be read again and again are changed ([`Parts::ask`]).
 pub struct ChangedParts<'a> {
     parts: &'a dyn Parts,
     change: &'a (dyn Fn(usize, &Problem) -> Result<Problem> + Sync),
-    change_of_sample: Option<&'a dyn Fn(&Problem) -> Result<Problem>>,
+    change_of_sample: Option<&'a ChangeOfSample<'a>>,
 }
 
 impl<'a> ChangedParts<'a> {
@@ -233,7 +236,7 @@ impl<'a> ChangedParts<'a> {
     }
 
     /// The same with the change of a sample of the rows, which has rows of many parts. Without it there is no sample.
-    pub fn with_sample(self, change: &'a dyn Fn(&Problem) -> Result<Problem>) -> Self {
+    pub fn with_sample(self, change: &'a ChangeOfSample<'a>) -> Self {
         Self { change_of_sample: Some(change), ..self }
     }
 }
