@@ -6,8 +6,8 @@ use std::iter::repeat_n;
 use std::ops::RangeInclusive;
 
 use abbe_core::{
-    Calibration, Class, Dataset, Error, Fit, ImplausibleValue, Kind, KinematicModel, ObservationSet, Parameter,
-    ParameterRole, Problem, Quantity, Result, Status, Unit,
+    Calibration, Class, Dataset, Error, Fit, ImplausibleValue, Kind, KinematicModel, ObservationSet, ParameterRole,
+    Problem, Quantity, Result, Status, Unit,
 };
 use abbe_estimation::{
     LargeError, Plausible, absurd_error, contradicted, dead_channels, implausible_errors, large_errors, likely_causes,
