@@ -247,7 +247,7 @@ fn parsed(text: &str) -> Result<(Analysis, Vec<Quality>)> {
 }
 
 fn unreadable(file: &Path, error: &std::io::Error) -> Error {
-    Error::data(format!("the file cannot be read: {}", abbe_files::why(&error))).in_file(file)
+    Error::data(format!("the file cannot be read: {}", abbe_files::why(error))).in_file(file)
 }
 
 fn fit_result(file: &Path, text: &str, registry: &Registry) -> Result<FitResult> {
