@@ -1,5 +1,6 @@
 //! The double ball bar against the values that its data were simulated with, and against an independent evaluation of them.
 
+use std::fs;
 use std::path::Path;
 
 use abbe_core::{Calibration, Problem, Status};
@@ -7,7 +8,7 @@ use abbe_engine::{Outcome, prepare};
 use serde_json::{Value, json};
 
 use crate::misread::changed;
-use crate::support::{Variant, abbe, effect, fit, json_file, recipes, registry, root, temporary, values, write};
+use crate::support::{Variant, abbe, effect, fit, json_file, read, recipes, registry, root, temporary, values, write};
 
 const ERRORS: [&str; 8] = ["EY0A", "EZ0A", "EB0A", "EC0A", "EX0C", "EY0C", "EA0C", "EB0C"];
 
@@ -329,6 +330,16 @@ fn a_test_beside_its_range_is_told() {
         printed.stderr.split_whitespace().collect::<Vec<_>>().join(" ")
     };
     assert!(!warnings(&recipe).contains("is its zero right?"));
+    // Without its first two samples a test begins later, and its zero is right.
+    let mut shorter = recipe.clone();
+    for (place, name) in (0..4).map(|place| (place, format!("shorter-{place}.csv"))) {
+        let test = &mut shorter.stage("samples")["tests"][place];
+        let text = read(Path::new(test["file"].as_str().expect("a file")));
+        let kept = text.lines().filter(|line| !line.starts_with("1,") && !line.starts_with("2,"));
+        fs::write(folder.path().join(&name), kept.map(|line| format!("{line}\n")).collect::<String>()).expect("a file");
+        test["file"] = json!(folder.path().join(name));
+    }
+    assert!(!warnings(&shorter).contains("is its zero right?"));
     for (place, off) in [0.5, -0.5, 5.0, -2.0].into_iter().enumerate() {
         let mut wrong = recipe.clone();
         let test = &mut wrong.stage("samples")["tests"][place];

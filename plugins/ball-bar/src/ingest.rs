@@ -259,7 +259,7 @@ impl Named {
         let width = range[1] - range[0];
         let beside = 0.5 * (from + to - range[0] - range[1]);
         let overshoot = to - from - width;
-        if width.is_finite() && overshoot <= OVERSHOOT * width && beside.abs() > BESIDE {
+        if width.is_finite() && overshoot <= OVERSHOOT * width && beside.abs() > BESIDE.max(usual_step(angles)) {
             let [from, to, beside] = [from, to, beside].map(f64::to_degrees);
             tracing::warn!(
                 "{}: {} goes from {from:.3} to {to:.3} deg, and the middle of its range is {:.3} deg away from that of this test: is its \
@@ -320,6 +320,16 @@ fn sweep(angles: &[f64]) -> f64 {
 /// The smallest and the largest angle, rad.
 fn ends(angles: &[f64]) -> [f64; 2] {
     angles.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], angle| [least.min(*angle), most.max(*angle)])
+}
+
+/// The usual step from a sample to the next one, rad: some may be missing where a test starts and stops.
+fn usual_step(angles: &[f64]) -> f64 {
+    let mut steps: Vec<f64> = angles.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
+    let middle = steps.len() / 2;
+    match steps.get(middle) {
+        Some(_) => *steps.select_nth_unstable_by(middle, f64::total_cmp).1,
+        None => 0.0,
+    }
 }
 
 /// The number of every row's cycle, in the order in which cycles appear.
