@@ -39,6 +39,22 @@ fn folders_among_results_keep_permissions_and_times() {
     fs::set_permissions(small.path("out/recipe/private"), fs::Permissions::from_mode(0o755)).expect("its owner may");
 }
 
+/// A new folder takes the place of an empty one, and not its permissions.
+#[test]
+fn an_empty_folder_keeps_its_permissions() {
+    let folder = temporary();
+    let mine = folder.path().join("mine");
+    for mode in [0o700, 0o2770, 0o755] {
+        fs::create_dir(&mine).expect("a folder");
+        fs::set_permissions(&mine, fs::Permissions::from_mode(mode)).expect("its owner may");
+        let printed = as_typed(folder.path(), &["new", "mine", "--chain", "w b Y X Z t", "--method", "balls"]);
+        assert_eq!(printed.status, 0, "{}", printed.stderr);
+        let found = fs::metadata(&mine).expect("it is there").permissions().mode();
+        assert_eq!(found & 0o7777, mode, "{found:o}");
+        fs::remove_dir_all(&mine).expect("it is removed");
+    }
+}
+
 #[test]
 fn pages_open_no_pipe() {
     let folder = temporary();

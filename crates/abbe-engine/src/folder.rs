@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use abbe_core::{Error, Result};
 
-use crate::results::{kept_beside, parent, real};
+use crate::results::{as_it_was, kept_beside, parent, real};
 use crate::staging::{Staging, can_write, exclusive_access, unwritable};
 
 /// Fails early if a new folder cannot be written at `out`. `out` has to be empty or not to exist.
@@ -53,6 +53,10 @@ pub fn write_folder(out: &Path, files: &BTreeMap<PathBuf, Vec<u8>>) -> Result<()
     }
     // Two commands that write the same folder do so one after the other.
     let _access = exclusive_access(parent(&place));
+    // An empty folder keeps its permissions and its owner.
+    if place.is_dir() {
+        let _ = as_it_was(&place, staging.path(), false);
+    }
     let taken = is_free(out).and_then(|()| take(staging.path(), &place).map_err(failed));
     match taken {
         Ok(()) => {

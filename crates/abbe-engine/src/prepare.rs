@@ -118,7 +118,10 @@ pub(crate) fn built(recipe: Recipe, registry: &Registry, given: &Given) -> Resul
                 }
                 Err(error) => {
                     let help = "name files that can be read; a pattern takes whatever matches it";
-                    return Err(refused(format!("{} cannot be read: {error}", path.display()), help));
+                    return Err(refused(
+                        format!("{} cannot be read: {}", path.display(), abbe_files::why(&error)),
+                        help,
+                    ));
                 }
             };
             if stage.kind != Kind::Ingest && size > LARGEST_INPUT {

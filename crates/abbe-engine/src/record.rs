@@ -135,8 +135,9 @@ impl RunRecord {
     /// no result of this one. Records of early versions, which list no files that were written, cannot tell.
     pub fn written_text(&self, folder: &Path, file: &str) -> Result<String> {
         let path = folder.join(file);
-        let text = read_text(&path, LARGEST_RESULT)
-            .map_err(|error| Error::data(format!("the file cannot be read: {error}")).in_file(&path))?;
+        let text = read_text(&path, LARGEST_RESULT).map_err(|error| {
+            Error::data(format!("the file cannot be read: {}", abbe_files::why(&error))).in_file(&path)
+        })?;
         let is_listed = self.outputs.iter().any(|output| output.file == file);
         if is_listed && !self.wrote(file, text.as_bytes()) {
             let message = "the file is not as the run wrote it that `run.json` beside it records";
@@ -177,7 +178,9 @@ pub(crate) fn input_records(files: &[PathBuf]) -> Result<Vec<FileRecord>> {
     for path in files {
         let file = path.display().to_string();
         if seen.insert(file.clone()) {
-            let unreadable = |error: io::Error| Error::data(format!("the file cannot be read: {error}")).in_file(path);
+            let unreadable = |error: io::Error| {
+                Error::data(format!("the file cannot be read: {}", abbe_files::why(&error))).in_file(path)
+            };
             records.push(FileRecord { file, sha256: sha256_of(path).map_err(unreadable)? });
         }
     }

@@ -120,7 +120,7 @@ impl ResultFolder {
         match exchanged {
             Ok((_, None)) => Ok(()),
             Ok((linked, Some(old))) => self.emptied(&old, &linked).map_err(|error| {
-                let message = format!("the old folder of results cannot be removed: {error}");
+                let message = format!("the old folder of results cannot be removed: {}", abbe_files::why(&error));
                 Error::data(message).help(format!("what is left of it is in {}", old.display()))
             }),
             Err(error) => Err(written_beside(&new, error)),
@@ -212,7 +212,7 @@ impl ResultFolder {
 }
 
 /// Gives a folder the permissions and the owner of another one, and its times if that is asked.
-fn as_it_was(old: &Path, new: &Path, with_times: bool) -> io::Result<()> {
+pub(crate) fn as_it_was(old: &Path, new: &Path, with_times: bool) -> io::Result<()> {
     let before = old.symlink_metadata()?;
     if !(before.is_dir() && new.symlink_metadata()?.is_dir()) {
         return Ok(());

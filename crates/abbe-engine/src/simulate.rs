@@ -378,7 +378,7 @@ fn comment(truth: &str, seed: u64, copied: usize) -> String {
 fn unreadable(file: &Path, error: &io::Error) -> Error {
     let message = match error.kind() {
         io::ErrorKind::NotFound => "there is no such file".to_owned(),
-        _ => format!("the file cannot be read: {error}"),
+        _ => format!("the file cannot be read: {}", abbe_files::why(error)),
     };
     Error::usage(message).help("name a file that can be read").in_file(file)
 }

@@ -105,7 +105,8 @@ impl File {
             Ok((application, version(&self.connection)?, tables))
         };
         let (application, version, tables) = found().map_err(|error| self.failed(&error))?;
-        if application != APPLICATION && tables > 0 {
+        // An empty file has no version either.
+        if application != APPLICATION && (tables > 0 || version != 0) {
             let message = format!("{} is a data base of something else, not a history", self.path.display());
             return Err(Error::usage(message).help("name another file"));
         }

@@ -217,7 +217,7 @@ fn read_text(path: &Path) -> Result<String, Error> {
     abbe_files::read_text(path, abbe_files::LARGEST_TEXT).map_err(|error| {
         let message = match error.kind() {
             std::io::ErrorKind::NotFound => format!("the file `{}` does not exist", path.display()),
-            _ => format!("the file `{}` cannot be read: {error}", path.display()),
+            _ => format!("the file `{}` cannot be read: {}", path.display(), abbe_files::why(&error)),
         };
         Error::usage(message)
     })

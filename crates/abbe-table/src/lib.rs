@@ -97,11 +97,11 @@ pub fn parse(path: &Path, text: &[u8]) -> Result<Dataset> {
 pub fn unreadable(path: &Path, error: &io::Error) -> Error {
     if abbe_files::is_of_packing(error) {
         let help = "pack the table again, or unpack it to see what is there";
-        return Error::data(format!("the file cannot be read: {error}")).in_file(path).help(help);
+        return Error::data(format!("the file cannot be read: {}", abbe_files::why(error))).in_file(path).help(help);
     }
     let message = match error.kind() {
         io::ErrorKind::NotFound => "there is no such file".to_owned(),
-        _ => format!("the file cannot be read: {error}"),
+        _ => format!("the file cannot be read: {}", abbe_files::why(error)),
     };
     Error::usage(message)
         .in_file(path)

@@ -149,7 +149,7 @@ fn carried_out(arguments: Arguments) -> ExitCode {
             // The reader of the output has closed it.
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::from(status),
             Err(error) => {
-                tell(&format!("the output cannot be written: {error}\n"));
+                tell(&format!("the output cannot be written: {}\n", abbe_files::why(&error)));
                 ExitCode::from(1)
             }
         },

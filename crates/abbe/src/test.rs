@@ -176,8 +176,9 @@ impl Test {
                 all.push(path.clone());
                 continue;
             }
-            let unreadable =
-                |error: std::io::Error| Error::usage(format!("{} cannot be read: {error}", path.display()));
+            let unreadable = |error: std::io::Error| {
+                Error::usage(format!("{} cannot be read: {}", path.display(), abbe_files::why(&error)))
+            };
             let entries = std::fs::read_dir(path).map_err(unreadable)?.flatten().map(|entry| entry.path());
             let is_yaml = |file: &PathBuf| file.extension().is_some_and(|ending| ending == "yaml" || ending == "yml");
             let mut recipes: Vec<PathBuf> = entries.filter(is_yaml).filter(|file| is_recipe(file)).collect();
@@ -205,8 +206,9 @@ impl Test {
         let file = expectation(recipe);
         let before = match file.symlink_metadata().is_ok() {
             true => {
-                let unreadable =
-                    |error: std::io::Error| Error::data(format!("the file cannot be read: {error}")).help(NEW);
+                let unreadable = |error: std::io::Error| {
+                    Error::data(format!("the file cannot be read: {}", abbe_files::why(&error))).help(NEW)
+                };
                 let text = read_text(&file, LARGEST_TEXT).map_err(|error| unreadable(error).in_file(&file))?;
                 Some((Expected::read(&text).map_err(|error| error.in_file(&file))?, text))
             }

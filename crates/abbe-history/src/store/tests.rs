@@ -155,6 +155,9 @@ fn other_files_stay_as_they_are() {
     let other = folder.path().join("other.sqlite");
     Connection::open(&other).unwrap().execute_batch("CREATE TABLE x (y)").unwrap();
     assert!(History::open(&other).err().unwrap().message.contains("something else"));
+    let empty = folder.path().join("empty.sqlite");
+    Connection::open(&empty).unwrap().pragma_update(None, "user_version", 1).unwrap();
+    assert!(History::open(&empty).err().unwrap().message.contains("something else"));
     assert!(History::read(&folder.path().join("absent")).err().unwrap().message.contains("does not exist"));
 }
 
