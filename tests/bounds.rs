@@ -92,6 +92,19 @@ fn pipes_devices_and_folders_are_no_files() {
             make(&small.path(file));
             refused(&small, arguments, 2, &[name, "a file was expected"]);
         }
+        // A name without an ending is no chain of axes if there is something of that name.
+        for file in ["machine", "machine.yaml"] {
+            for arguments in [&["explain", "EXX", "--machine", file][..], &["model", file]] {
+                let small = Small::new();
+                make(&small.path(file));
+                refused(
+                    &small,
+                    arguments,
+                    2,
+                    &[&format!("{file}: the file cannot be read: it is {name}; a file was expected")],
+                );
+            }
+        }
     }
 }
 
@@ -278,6 +291,26 @@ fn the_time_of_a_run_has_a_limit() {
     let printed = ended(&small, &["run", RECIPE, "--out", "out", "--json", "--time-limit", "0.000001"]);
     let error: serde_json::Value = serde_json::from_str(&printed.stdout).expect("one error as JSON");
     assert!(error["error"]["message"].as_str().is_some_and(|message| message.contains("time limit")), "{error}");
+}
+
+/// Each command says what is not there when its time is over: a check has no results, and a plan is no run.
+#[test]
+fn what_is_missing_when_the_time_is_over_is_that_of_the_command() {
+    let small = Small::new();
+    small.write("truth.json", "{}");
+    small.write("plan.yaml", &format!("{SMALL}plan: {{ estimate: fine, candidates: table, number: 40 }}\n"));
+    let limit = "--time-limit=0.000001";
+    let simulate = ["simulate", RECIPE, "--truth", "truth.json", "--seed", "1", "--out", "out", limit];
+    for (arguments, what) in [
+        (&["check", RECIPE, limit][..], "the check is not at its end"),
+        (&["plan", "plan.yaml", "--out", "out", limit], "there is no plan yet: nothing is printed or written"),
+        (&simulate, "the measurements are not simulated: nothing is written"),
+    ] {
+        refused(&small, arguments, 1, &[&format!("the time limit of 0.000001 s is over, and {what}")]);
+        let said = ended(&small, arguments).stderr;
+        assert!(!said.contains("results") && !said.contains("run"), "{arguments:?}: {said}");
+        assert!(!small.path("out").exists(), "{arguments:?}");
+    }
 }
 
 /// Escape sequences of terminals, 8-bit ones and reversed text.

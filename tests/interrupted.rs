@@ -173,6 +173,75 @@ fn has_begun(run: &mut std::process::Child, folder: &std::path::Path) -> bool {
     }
 }
 
+/// A pipe that is full: who writes into it waits.
+#[cfg(target_os = "linux")]
+fn full_pipe() -> (std::io::PipeReader, std::io::PipeWriter) {
+    use std::io::Write;
+
+    let (reader, writer) = std::io::pipe().expect("a pipe");
+    let mut filler = writer.try_clone().expect("a second end");
+    let (told, heard) = std::sync::mpsc::channel();
+    // It ends with an error when nobody reads any more.
+    std::thread::spawn(move || while filler.write_all(&[b' '; 512]).is_ok() && told.send(()).is_ok() {});
+    while heard.recv_timeout(std::time::Duration::from_millis(200)).is_ok() {}
+    (reader, writer)
+}
+
+/// Commands that only show something: a signal ends them with the same word and status as a run. Their output waits for a reader that
+/// never comes, so that they are under way when it is sent.
+#[cfg(target_os = "linux")]
+#[test]
+fn commands_that_show_something_say_that_they_are_interrupted() {
+    use std::io::Read;
+    use std::time::{Duration, Instant};
+
+    let env = std::process::Command::new("env").args([DEFAULT_SIGNALS, "true"]).stderr(Stdio::null()).status();
+    if !env.is_ok_and(|status| status.success()) {
+        return crate::support::skipped("interrupted", "`env --default-signal` of GNU coreutils is not there");
+    }
+    let small = Small::new();
+    for (arguments, signal, expected) in [
+        (&["data", "data/touches.csv"][..], "-INT", 130),
+        (&["model", "data/machine.yaml"], "-TERM", 143),
+        (&["explain", "EXX", "--machine", "data/machine.yaml"], "-HUP", 129),
+    ] {
+        let (reader, writer) = full_pipe();
+        let mut run = std::process::Command::new("env")
+            .args([DEFAULT_SIGNALS, env!("CARGO_BIN_EXE_abbe-under-test")])
+            .args(arguments)
+            .current_dir(small.folder.path())
+            .stdout(writer)
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the program starts");
+        // It handles SIGHUP, SIGINT and SIGTERM: the numbers 1, 2 and 15.
+        const ALL: u64 = 1 | 1 << 1 | 1 << 14;
+        let status = format!("/proc/{}/status", run.id());
+        let handles = || {
+            let status = fs::read_to_string(&status).unwrap_or_default();
+            let bits = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+            bits.and_then(|bits| u64::from_str_radix(bits.trim(), 16).ok()).is_some_and(|bits| bits & ALL == ALL)
+        };
+        let started = Instant::now();
+        while !handles() && started.elapsed() < Duration::from_secs(60) {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let sent = std::process::Command::new("kill").args([signal, &run.id().to_string()]).status();
+        assert!(sent.expect("kill is there").success());
+        while run.try_wait().expect("it can be asked").is_none() {
+            if started.elapsed() > Duration::from_secs(120) {
+                run.kill().expect("it can be ended");
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        drop(reader);
+        let mut said = String::new();
+        run.stderr.take().expect("standard error").read_to_string(&mut said).expect("text");
+        let status = run.wait().expect("an interrupted command ends");
+        assert_eq!((status.code(), said.as_str()), (Some(expected), "interrupted\n"), "{arguments:?} {signal}");
+    }
+}
+
 /// Temporary folders of `abbe new`, and of a report that a browser prints, go with a signal.
 #[cfg(unix)]
 #[test]

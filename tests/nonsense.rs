@@ -579,6 +579,26 @@ fn balls_at_the_same_place_have_no_distance() {
     assert!(error.message.contains("balls 25 and 26 have the same nominal centre"), "{error}");
 }
 
+/// A mistake in one entry of a list is told at the line of the entry, and not where the list begins.
+#[test]
+fn a_wrong_distance_is_told_at_its_line() {
+    let folder = temporary();
+    let original = &recipes()["samba"];
+    let text = read(original).replace("data/", &format!("{}/data/", original.parent().expect("a folder").display()));
+    let first = "[ { between: [25, 26], length_mm: 304.6686, standard_uncertainty_um: 0.1 }";
+    let line = text.lines().position(|line| line.contains(first)).expect("a distance") + 2;
+    for other in ["      { between: [25, 999], ", "      { between: [999, 25], "] {
+        let second = format!("{first},\n{other}length_mm: 304.6686, standard_uncertainty_um: 0.1 }}");
+        let file = folder.path().join("changed.yaml");
+        crate::support::write(&file, &text.replacen(first, &second, 1));
+        let error = prepare(&file, &registry()).and_then(|recipe| recipe.check()).expect_err("it is refused");
+        assert!(error.message.contains("`distances` names ball 999"), "{error}");
+        let place = error.place.expect("a place");
+        let column = other.find("999").map(|before| before + 1);
+        assert_eq!((place.line, place.column), (Some(line), column), "{other}");
+    }
+}
+
 /// A calibration that is marked, and one that contradicts its machine, are not built upon.
 #[test]
 fn absurd_calibrations_are_not_read() {

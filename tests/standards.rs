@@ -346,6 +346,51 @@ fn what_is_no_test_is_told_or_decides_nothing() {
     );
 }
 
+/// Readings that are all 25.4 or 1,000 times too large exceed all limits, and somebody asks for their unit. A machine that is a few times
+/// worse than its limits is just that.
+#[test]
+fn readings_in_a_larger_unit_are_asked_about() {
+    let folder = crate::support::temporary();
+    let said = |name: &str, ingest: &str, reading: &[&str], factor: f64| -> Vec<String> {
+        let mut recipe = recipe(name);
+        let table = recipe.path(ingest, "path");
+        let (header, mut rows, place) = rows(&table);
+        for row in &mut rows {
+            for cell in reading.iter().map(|column| place(column)) {
+                row[cell] = (factor * row[cell].parse::<f64>().expect("a number")).to_string();
+            }
+        }
+        let file = folder.path().join(format!("{ingest}.csv"));
+        crate::support::write(&file, &rows.iter().fold(header + "\n", |text, row| text + &row.join(",") + "\n"));
+        recipe.stage(ingest)["path"] = json!(file);
+        let outcome = recipe.run();
+        assert!(outcome.failures.is_empty(), "{:?}", outcome.failures.first().map(|failure| &failure.error));
+        let remarks = outcome.verdicts.iter().flat_map(|verdict| &verdict.remarks);
+        remarks.filter(|text| text.contains("is the unit of the column right?")).cloned().collect()
+    };
+    let of_bar: &[&str] = &["reading_um"];
+    for (name, ingest, reading, run, most) in [
+        ("positioning", "linear", of_bar, "linear", 1e3),
+        ("positioning", "rotary", &["reading_urad"], "rotary", 1e3),
+        ("circular", "slow", of_bar, "slow", 25.4),
+        ("diagonals", "ppp", of_bar, "body", 1e3),
+        ("rotary-interpolation", "read-c", &["meas_x_um", "meas_y_um", "meas_z_um"], "read-c", 1e3),
+    ] {
+        for factor in [25.4, 1e3].into_iter().filter(|factor| *factor <= most) {
+            let found = said(name, ingest, reading, factor);
+            let words = format!("divided by {factor}: is the unit of the column right?");
+            assert!(
+                found.len() == 1 && found[0].starts_with(&format!("{run}: ")),
+                "{name} {ingest} {factor}: {found:?}"
+            );
+            assert!(found[0].ends_with(&words), "{name} {ingest} {factor}: {found:?}");
+        }
+        for factor in [1.0, 1.5, 3.0, 7.0] {
+            assert_eq!(said(name, ingest, reading, factor), Vec::<String>::new(), "{name} {ingest} {factor}");
+        }
+    }
+}
+
 /// A run whose signs are all turned, on random axes: told where its errors are more than its scatter, and never without it.
 #[test]
 fn a_run_with_turned_signs_is_told() {

@@ -178,7 +178,7 @@ fn wrong_settings_are_refused() {
         (json!({ "positive_crosscomp_moves": null }), "positive_crosscomp_moves: the sense of `kw.crosscomp`"),
         (
             json!({ "tables": { "cross": [{ "correct": "X", "along": "Y" }, { "correct": "X", "along": "Z" }] } }),
-            "tables.cross: a list has one table",
+            "tables.cross[1]: a list has one table",
         ),
         (json!({ "existing": { "X": "nowhere.lis" } }), "existing: ./nowhere.lis: it cannot be read"),
     ] {
@@ -189,4 +189,24 @@ fn wrong_settings_are_refused() {
         let found = format!("{}: {error}", abbe_core::path_text(&error.setting));
         assert!(found.starts_with(expected), "{change}: {found}");
     }
+}
+
+/// Which of several pairs a control cannot correct is told at its entry.
+#[test]
+fn a_pair_that_depends_on_the_direction_is_named() {
+    let range = json!({ "range_mm": [-300, 300] });
+    let machine = random::of_settings(
+        &json!({
+            "chain": "w b X Y Z t", "tool_length_mm": 100, "stylus_radius_mm": 0,
+            "axes": { "X": range, "Y": range, "Z": range },
+            "errors": [{ "polynomial": ["EXX", "EXY"], "degrees": [1] }, { "backlash": ["EZY"] }],
+        }),
+        1,
+        0.0,
+    );
+    let pairs = json!([{ "correct": "X", "along": "Y" }, { "correct": "Z", "along": "Y" }]);
+    let export = exporter("isg-tables", &settings(&machine, json!({ "step_mm": 50, "cross": pairs }), "positive"));
+    let error = export.export(&machine.calibration, machine.model.as_ref()).expect_err("an error");
+    let found = format!("{}: {error}", abbe_core::path_text(&error.setting));
+    assert!(found.starts_with("tables.cross[1]: the correction of Z along Y depends on the direction of"), "{found}");
 }

@@ -76,7 +76,7 @@ pub enum Command {
         /// Print all findings: what is determined worst, correlations, uncertainty budgets.
         #[arg(long, conflicts_with = "json")]
         explain: bool,
-        /// Time limit, seconds.
+        /// Time limit, seconds. A check that is not at its end by then fails.
         #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
         time_limit: Option<Duration>,
     },
@@ -96,7 +96,7 @@ pub enum Command {
         /// The model stage to simulate, if the estimates use several.
         #[arg(long)]
         machine: Option<String>,
-        /// Time limit, seconds.
+        /// Time limit, seconds. What is not simulated by then fails, and nothing is written.
         #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
         time_limit: Option<Duration>,
     },
@@ -113,7 +113,7 @@ pub enum Command {
         /// Print the plan as JSON.
         #[arg(long)]
         json: bool,
-        /// Time limit, seconds.
+        /// Time limit, seconds. A plan that is not made by then fails, and nothing is written.
         #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
         time_limit: Option<Duration>,
     },

@@ -97,9 +97,9 @@ pub fn cancel_on_signal(monitor: Monitor) -> Result<()> {
     .map_err(|error| Error::data(format!("signals cannot be handled: {}", abbe_files::why(&error))))
 }
 
-/// Ends the process when this time and `grace` are over, if the work has not ended by itself and written its files; the error is JSON
-/// on request.
-pub fn end_after(limit: Option<Duration>, grace: Duration, json: bool) -> Result<()> {
+/// Ends the process when this time and `grace` are over, if the work has not ended by itself and written its files. `what` says what is
+/// not there then; the error is JSON on request.
+pub fn end_after(limit: Option<Duration>, grace: Duration, json: bool, what: &'static str) -> Result<()> {
     let Some(limit) = limit else { return Ok(()) };
     let wait = move || {
         std::thread::sleep(limit.saturating_add(grace));
@@ -107,7 +107,7 @@ pub fn end_after(limit: Option<Duration>, grace: Duration, json: bool) -> Result
         if DONE.load(Ordering::SeqCst) {
             return;
         }
-        let message = format!("the time limit of {} s is over, and the work is not at its end", limit.as_secs_f64());
+        let message = format!("the time limit of {} s is over, and {what}", limit.as_secs_f64());
         let error = Error::out_of_time(message);
         // A closed output must not keep the process alive.
         let _ = match json {

@@ -209,7 +209,8 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
                 None => monitor,
             };
             interrupt::cancel_on_signal(monitor.clone())?;
-            interrupt::end_after(time_limit, interrupt::GRACE, json)?;
+            let what = "the run is not at its end: no results are written";
+            interrupt::end_after(time_limit, interrupt::GRACE, json, what)?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             prepared.can_write(&out)?;
             prepared.recipe.history.iter().try_for_each(|place| history::can_add(&here.place(place)))?;
@@ -248,7 +249,7 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
         }
         Command::Check { recipe, json, explain, time_limit } => {
             interrupt::cancel_on_signal(Monitor::default())?;
-            interrupt::end_after(time_limit, Duration::ZERO, json)?;
+            interrupt::end_after(time_limit, Duration::ZERO, json, "the check is not at its end")?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             prepared.recipe.history.iter().try_for_each(history::can_add)?;
             let planned = prepared.check()?;
@@ -262,7 +263,8 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
         Command::Simulate { recipe, truth, seed, out, machine, time_limit } => {
             let here = Here::now();
             interrupt::cancel_on_signal(Monitor::default())?;
-            interrupt::end_after(time_limit, Duration::ZERO, false)?;
+            let what = "the measurements are not simulated: nothing is written";
+            interrupt::end_after(time_limit, Duration::ZERO, false, what)?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             can_write_folder(&out)?;
             let simulated = prepared.simulate(&truth, seed, machine.as_deref())?;
@@ -272,7 +274,8 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
         Command::Plan { recipe, out, program, json, time_limit } => {
             let here = Here::now();
             interrupt::cancel_on_signal(Monitor::default())?;
-            interrupt::end_after(time_limit, Duration::ZERO, json)?;
+            let what = "there is no plan yet: nothing is printed or written";
+            interrupt::end_after(time_limit, Duration::ZERO, json, what)?;
             let prepared = prepare(&recipe, &libraries.registry(Some(&recipe))?)?;
             out.iter().try_for_each(|out| can_write_folder(out))?;
             let mut measurements = prepared.plan_for(program)?;
@@ -283,9 +286,18 @@ fn dispatch(command: Command, libraries: &Libraries, verbose: bool) -> Result<(S
             Ok((planning::shown(&prepared.recipe.name, measurements, out.as_deref(), json), status))
         }
         Command::New(asked) => Ok((asked.run(libraries)?, 0)),
-        Command::Data(asked) => Ok((asked.run(libraries)?, 0)),
-        Command::Model(asked) => written(asked.run(libraries)?),
-        Command::Explain(asked) => Ok((asked.run(libraries)?, 0)),
+        Command::Data(asked) => {
+            interrupt::cancel_on_signal(Monitor::default())?;
+            Ok((asked.run(libraries)?, 0))
+        }
+        Command::Model(asked) => {
+            interrupt::cancel_on_signal(Monitor::default())?;
+            written(asked.run(libraries)?)
+        }
+        Command::Explain(asked) => {
+            interrupt::cancel_on_signal(Monitor::default())?;
+            Ok((asked.run(libraries)?, 0))
+        }
         Command::Compensate(asked) if asked.is_program() => {
             interrupt::cancel_on_signal(Monitor::default())?;
             asked.run_program(&libraries.registry(None)?)

@@ -74,8 +74,12 @@ impl Machine {
     fn prepared(&self, libraries: &Libraries) -> Result<Prepared> {
         let path = PathBuf::from(&self.machine);
         let is_file = path.extension().is_some_and(|extension| extension == "yaml" || extension == "yml");
+        let unreadable = |error: std::io::Error| {
+            Error::usage(format!("the file cannot be read: {}", abbe_files::why(&error))).in_file(&path)
+        };
         // A chain has blanks, and no file is named like one.
-        if !is_file && path.is_file() {
+        if !is_file && path.exists() {
+            abbe_files::open(&path).map_err(unreadable)?;
             let error = Error::usage("this is no machine file and no recipe; a file `.yaml` was expected");
             return Err(error.in_file(&path).help("`abbe data FILE` tells what is in a file of measurements"));
         }
@@ -89,9 +93,6 @@ impl Machine {
             // The recipe was made here: its lines say nothing.
             return made.map_err(|error| Error { place: None, stage: None, ..error });
         }
-        let unreadable = |error: std::io::Error| {
-            Error::usage(format!("the file cannot be read: {}", abbe_files::why(&error))).in_file(&path)
-        };
         let content = abbe_files::read_text(&path, abbe_files::LARGEST_TEXT).map_err(unreadable)?;
         if content.lines().any(|line| line.starts_with("stages:")) {
             return prepare(&path, &libraries.registry(Some(&path))?);

@@ -82,7 +82,7 @@ impl New {
             None => Monitor::default(),
         };
         interrupt::cancel_on_signal(monitor.clone())?;
-        interrupt::end_after(self.time_limit, interrupt::GRACE, false)?;
+        interrupt::end_after(self.time_limit, interrupt::GRACE, false, "nothing is written")?;
         can_write_folder(&self.folder)?;
         let chain = match &self.chain {
             Some(chain) => chain.clone(),

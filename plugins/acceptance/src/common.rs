@@ -9,6 +9,8 @@ use abbe_core::{
 };
 use abbe_numerics::{Channel, instrument_faults, repeats_are_copies};
 
+use crate::reading_units::limits_in_another_unit;
+
 /// Limits by key.
 pub type Limits = BTreeMap<String, Limit>;
 
@@ -331,7 +333,13 @@ impl<T: Acceptance> Validate for Judge<T> {
     }
 
     fn validate(&self, _: &[&Fit], data: &[&Dataset]) -> Result<Findings> {
-        if data.is_empty() { Err(no_data()) } else { self.0.findings(data) }
+        if data.is_empty() {
+            return Err(no_data());
+        }
+        let mut findings = self.0.findings(data)?;
+        // Whoever reads that limits are not kept reads this first.
+        findings.remarks.splice(0..0, limits_in_another_unit(&findings.figures));
+        Ok(findings)
     }
 }
 

@@ -12,6 +12,7 @@ mod copied_run;
 mod diagonals;
 mod displaced;
 mod positioning;
+mod reading_units;
 mod rotary_interpolation;
 mod rotary_readings;
 mod row_directions;

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use abbe_compensation::AxisTable;
 use abbe_core::{
-    Calibration, CommandCorrection, Context, Error, Export, ExportedFile, InputFile, KinematicModel, Result,
+    Calibration, CommandCorrection, Context, Error, Export, ExportedFile, InputFile, KinematicModel, PathItem, Result,
     SettingsError,
 };
 use abbe_volumetric::{position_unit, within};
@@ -147,7 +147,10 @@ impl Isg {
         for (index, table) in cross.iter().enumerate() {
             let name = &model.info().axes[table.output].name;
             if cross[..index].iter().any(|other| other.output == table.output) {
-                let error = Error::usage(format!("a list has one table of `kw.crosscomp`; {name} needs more"));
+                let mut error = Error::usage(format!("a list has one table of `kw.crosscomp`; {name} needs more"));
+                let asked = self.settings.tables.cross.as_deref().unwrap_or_default();
+                let last = asked.iter().rposition(|pair| pair.correct == *name);
+                error.setting = last.map(PathItem::Index).into_iter().collect();
                 return Err(within(error, &["tables", "cross"]));
             }
         }

@@ -246,7 +246,8 @@ impl Tables {
         let turned: Vec<usize> = own.iter().copied().filter(|&axis| axes[axis].kind == AxisKind::Rotary).collect();
         let cross = self.pairs(model, limits)?;
         let mut made = Made { tables: existing, new: Vec::new(), notes: Vec::new() };
-        for (output, input) in own.into_iter().map(|axis| (axis, axis)).chain(cross) {
+        let count = own.len();
+        for (place, (output, input)) in own.into_iter().map(|axis| (axis, axis)).chain(cross).enumerate() {
             let empty = AxisTable { input, output, ..AxisTable::default() };
             let before = made.tables.iter().position(|table| table.is_for_same_axes(&empty));
             let in_same_file = || limits.same_points.then(|| made.tables.iter().position(|table| table.input == input));
@@ -259,7 +260,8 @@ impl Tables {
             let repeats = before.map_or(axes[input].endless, |index| made.tables[index].repeats);
             let exact = AxisTable { repeats, ..exact };
             let exact = match limits.cross == Pairs::Asked && output != input {
-                true => both_ways(exact, model, limits.decimals)?,
+                true => both_ways(exact, model, limits.decimals)
+                    .map_err(|error| in_list(error, "cross", place.saturating_sub(count), None))?,
                 false => exact,
             };
             let zero = || exact.clone().map(|_| 0.0);
@@ -416,7 +418,7 @@ fn both_ways(table: AxisTable, model: &dyn KinematicModel, decimals: i32) -> Res
         let (name, along) = (&output.name, &input.name);
         let message =
             format!("the correction of {name} along {along} depends on the direction of travel; such tables do not");
-        return Err(Error::data(message).setting("cross"));
+        return Err(Error::data(message));
     }
     let mean: Vec<f64> = pairs().map(|(forward, reverse)| f64::midpoint(*forward, *reverse)).collect();
     Ok(AxisTable { forward: mean.clone(), reverse: mean, ..table })

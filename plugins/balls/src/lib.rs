@@ -231,6 +231,14 @@ fn build(mut settings: Settings, context: &Context) -> Result<Box<dyn Artefact>,
     Ok(Box::new(Balls { nominal: context.path(&settings.nominal), settings, form }))
 }
 
+/// Names the distance that causes an error, at its balls, or at one of the two.
+fn at_distance(mut error: Error, index: usize, ball: Option<usize>) -> Error {
+    let key = |name: &str| PathItem::Key(name.to_owned());
+    error.setting = vec![key("distances"), PathItem::Index(index), key("between")];
+    error.setting.extend(ball.map(PathItem::Index));
+    error
+}
+
 struct Balls {
     nominal: PathBuf,
     settings: Settings,
@@ -393,20 +401,21 @@ impl Artefact for Balls {
         }
         let first_distance = quantities.inputs.len();
         let mut distances = Vec::new();
-        for distance in &self.settings.distances {
-            let find = |label: &Label| {
-                balls.iter().position(|ball| ball.label == label.0).ok_or_else(|| {
+        for (index, distance) in self.settings.distances.iter().enumerate() {
+            let find = |place: usize| {
+                let label = &distance.between[place].0;
+                balls.iter().position(|ball| ball.label == *label).ok_or_else(|| {
                     let what = "which was not touched, or has no nominal centre";
-                    Error::data(format!("`distances` names ball {}, {what}", label.0))
-                        .setting("distances")
-                        .suggest(&label.0, balls.iter().map(|ball| ball.label.as_str()))
+                    let error = Error::data(format!("`distances` names ball {label}, {what}"))
+                        .suggest(label, balls.iter().map(|ball| ball.label.as_str()));
+                    at_distance(error, index, Some(place))
                 })
             };
-            let [from, to] = &distance.between;
-            let (one, other) = (find(from)?, find(to)?);
+            let (one, other) = (find(0)?, find(1)?);
             if balls[one].centre == balls[other].centre {
+                let [from, to] = &distance.between;
                 let message = format!("balls {} and {} have the same nominal centre, and a distance", from.0, to.0);
-                return Err(Error::data(message).setting("distances"));
+                return Err(at_distance(Error::data(message), index, None));
             }
             distances.push((one, other));
             let input = distance.input()?;

@@ -144,15 +144,15 @@ pub fn sizes(
     let mut constraints = Vec::new();
     for (index, diameter) in diameters.iter().enumerate() {
         let label = diameter.feature.0.as_str();
+        let at = |mut error: Error, key: &str| {
+            let [list, key] = ["diameters", key].map(|name| PathItem::Key(name.to_owned()));
+            error.setting = vec![list, PathItem::Index(index), key];
+            error
+        };
         let Some(place) = features.iter().position(|(own, _)| *own == label) else {
-            let mut error = Error::data(format!("`diameters` names {kind} {label}, which was not touched"))
+            let error = Error::data(format!("`diameters` names {kind} {label}, which was not touched"))
                 .suggest(label, features.iter().map(|(own, _)| *own));
-            error.setting = vec![
-                PathItem::Key("diameters".to_owned()),
-                PathItem::Index(index),
-                PathItem::Key("feature".to_owned()),
-            ];
-            return Err(error);
+            return Err(at(error, "feature"));
         };
         let certified = diameter.certificate.as_ref().map(CertifiedLength::length).transpose()?;
         let nominal = certified.map_or(features[place].1, |(length, _)| length);
@@ -161,7 +161,7 @@ pub fn sizes(
                 "the certificate states {nominal} mm as diameter of {kind} {label}, whose nominal diameter is {} mm",
                 features[place].1
             );
-            return Err(Error::data(message).setting("diameters").help("is it the certificate of another feature?"));
+            return Err(at(Error::data(message).help("is it the certificate of another feature?"), "certificate"));
         }
         let unknown = diameter.estimated.then(|| quantities.unknown(format!("{kind}[{label}].diameter"), nominal));
         let name = format!("diameter[{label}]");
