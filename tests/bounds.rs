@@ -144,6 +144,12 @@ fn long_cells_are_refused_and_long_names_are_cut() {
     assert_ne!(cell(1), touches);
     small.write("data/touches.csv", &cell(70_000));
     refused(&small, &RUN, 1, &["touches.csv:4:", "a cell has 69 KiB; at most 64 are read"]);
+    refused(&small, &["data", "data/touches.csv"], 1, &["touches.csv:4:", "a cell has 69 KiB; at most 64 are read"]);
+    // A name of a column is a cell as well.
+    small.write("data/touches.csv", &touches.replacen(',', &format!("{},", "x".repeat(70_000)), 1));
+    for (command, status) in [(&["data", "data/touches.csv"][..], 1), (&RUN, 2)] {
+        refused(&small, command, status, &["touches.csv:1:", "at most 64 are read"]);
+    }
     small.write("data/touches.csv", &touches);
     small.write(RECIPE, &SMALL.replace("from: touches", &format!("from: {}", "x".repeat(5_000))));
     refused(&small, &RUN, 2, &["xxx..."]);

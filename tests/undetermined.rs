@@ -6,7 +6,7 @@ use std::path::Path;
 use abbe_core::Status;
 use serde_json::{Value, json};
 
-use crate::support::{Printed, abbe, json_file, temporary};
+use crate::support::{Printed, Small, abbe, json_file, temporary};
 
 /// A line of X that was not measured at 300 mm, where a knot of its spline is; and one of Y, which takes the errors of X as known.
 fn recipe(folder: &Path, more: &Value) -> Value {
@@ -228,4 +228,27 @@ fn the_side_from_which_an_axis_came_is_not_guessed_without_a_word() {
     fs::write(folder.path().join("direct-EXX.csv"), rows.replace("1.0,", "2,")).expect("a file");
     let printed = abbe(folder.path(), &["run", "hole.yaml", "--out", "other"]);
     assert!(said(&printed).contains("`direction` is 2; 1, -1 or 0 was expected"), "{}", printed.stderr);
+}
+
+/// A wrong machine file may look like unknowns that the data do not determine: how far the machine is from contact is told before, once,
+/// whether the rows are held or read in batches.
+#[test]
+fn a_wrong_machine_file_is_told_before_what_is_not_determined() {
+    let words = "at the recorded positions the nominal machine is";
+    for batches in ["", ", batch_rows: 20"] {
+        let small = Small::new();
+        // An estimate of batches starts at no other one.
+        let recipe = small.read("recipe.yaml").replace("    start: rough\n", "");
+        let recipe = recipe.replace("touches.csv }", &format!("touches.csv{batches} }}"));
+        small.write("recipe.yaml", &recipe);
+        let right = small.abbe(&["run", "recipe.yaml", "--out", "right"]);
+        assert!(right.status == 0 && !right.stderr.contains(words), "{batches}: {}", right.stderr);
+        let machine = small.read("data/machine.yaml");
+        let wrong = machine.replacen("direction: [0, 1, 0]", "direction: [0, 0, 1]", 1);
+        assert_ne!(wrong, machine);
+        small.write("data/machine.yaml", &wrong);
+        let said = said(&small.abbe(&["run", "recipe.yaml", "--out", "out"]));
+        let (before, error) = said.split_once("the data determine 10 of 11 unknowns").expect("the error");
+        assert_eq!((before.matches(words).count(), error.matches(words).count()), (1, 0), "{batches}: {said}");
+    }
 }

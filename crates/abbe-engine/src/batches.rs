@@ -8,10 +8,10 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use abbe_core::{
-    AskedOfPart, Batches, DataRecord, Dataset, Error, Fit, Identifiability, Kind, KinematicModel, Monitor,
+    AskedOfPart, Batches, Class, DataRecord, Dataset, Error, Fit, Identifiability, Kind, KinematicModel, Monitor,
     PartEvidence, Parts, Problem, QuestionToRows, Result, VarianceFactor, WeighedSums, free_threads,
 };
-use abbe_estimation::{joined_evidence, part_evidence, with_factors_found};
+use abbe_estimation::{joined_evidence, missed, part_evidence, with_factors_found};
 use abbe_recipe::Stage;
 
 use crate::in_order::in_order;
@@ -176,8 +176,8 @@ impl<'a> InBatches<'a> {
         let problem = known.problem.watched_by(monitor.clone());
         let estimator = self.prepared.estimators[&stage.name].clone();
         tracing::info!("{}: rows in batches, {} unknowns", stage.name, problem.unknowns.len());
-        let found =
-            estimator.estimate_parts(&problem, &AllBatches { batches: self, stage, known, monitor, factors: None });
+        let parts = AllBatches { batches: self, stage, known, monitor, factors: None };
+        let found = estimator.estimate_parts(&problem, &parts).inspect_err(|error| tell_missed(&parts, error));
         let mut calibration = self.prepared.located(stage, found)?;
         statuses::join(&mut calibration.fit.statuses, &known.part.statuses);
         self.prepared.located(stage, check_uncertainties(&calibration))?;
@@ -336,6 +336,16 @@ impl<'a> InBatches<'a> {
         })?;
         self.prepared.part_problem(stage, model, &observed, data, taken)
     }
+}
+
+/// Says of an estimate that fails whether its machine is far from contact, by rows that are chosen at random: a wrong machine file may look
+/// like unknowns that the data do not determine.
+fn tell_missed(rows: &AllBatches<'_>, error: &Error) {
+    if error.class != Class::Data || error.fatal {
+        return;
+    }
+    let remarks = rows.sample().ok().flatten().map_or_else(Vec::new, |problem| missed(&problem));
+    remarks.iter().for_each(|remark| tracing::warn!("{}: {remark}", rows.stage.name));
 }
 
 /// What is to be said where more outliers were found than are listed.

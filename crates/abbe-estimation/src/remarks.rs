@@ -143,7 +143,7 @@ const MISSED_BY_MANY: f64 = 10.0;
 
 /// How far the nominal machine is from contact at the recorded positions, if that is too far for a good set-up: of a set, or of some
 /// of its files.
-fn missed(problem: &Problem) -> Vec<String> {
+pub fn missed(problem: &Problem) -> Vec<String> {
     let Ok(residuals) = problem.residuals(&problem.start()) else { return Vec::new() };
     let equations = residuals.iter().zip(problem.quantities()).zip(problem.equation_rows());
     let mut of_sets: BTreeMap<SetIndex, Vec<f64>> = BTreeMap::new();

@@ -38,6 +38,12 @@ impl NamedColumns {
     /// Fails for names that are missing or there twice, and for units that are not known or contradict a name.
     pub fn new(path: &Path, fields: &[Field], layout: &Layout) -> Result<Self> {
         let wrong = |error: Error| error.in_file(path);
+        if let Some(place) = fields.iter().position(|field| field.name.len() > LONGEST_CELL) {
+            let (number, length) = (place + 1, fields[place].name.len().div_ceil(1024));
+            let message =
+                format!("the name of column {number} has {length} KiB; at most {} are read", LONGEST_CELL >> 10);
+            return Err(wrong(Error::usage(message).help("is it a table of measurements?")));
+        }
         let mut taken: Vec<Taken> = Vec::new();
         match &layout.columns {
             Some(columns) => {

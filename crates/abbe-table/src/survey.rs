@@ -12,7 +12,7 @@ use abbe_core::{ColumnHeader, Quantity, Result};
 use self::faults::{TIME, is_time, jumps, summaries, twins};
 use crate::layout::{Decimal, Encoding, Layout, Separator, Thousands};
 use crate::number::{is_number, plain};
-use crate::parse::{Records, ragged};
+use crate::parse::{LONGEST_CELL, Records, ragged};
 use crate::text::{may_be_utf_16, text};
 
 /// Rows that are looked at to find a layout.
@@ -137,6 +137,7 @@ pub(crate) fn likely_of(path: &Path, bytes: &[u8]) -> Result<Likely> {
     let separator = separator_of(&lines);
     let rows: Vec<(usize, Vec<String>)> = lines.iter().map(|(at, line)| (*at, cells(line, separator))).collect();
     let width = usual_width(&rows);
+    lines.iter().try_for_each(|(at, line)| no_longest_cell(path, *at, line, separator, width))?;
     let all: Vec<&str> =
         rows.iter().filter(|(_, row)| row.len() == width).flat_map(|(_, row)| row).map(String::as_str).collect();
     let (decimal, thousands) = numbers_of(&all, separator, &mut open);
@@ -175,6 +176,18 @@ fn cells(line: &str, separator: Separator) -> Vec<String> {
         Ok(true) => records.cells.iter().map(|cell| cell.trim().to_owned()).collect(),
         _ => vec![line.to_owned()],
     }
+}
+
+/// Refuses a row of the table, its row of names too, with a cell that is longer than any that is read. Lines that are no rows of the table
+/// may be longer.
+fn no_longest_cell(path: &Path, at: usize, line: &str, separator: Separator, width: usize) -> Result<()> {
+    if line.len() <= LONGEST_CELL {
+        return Ok(());
+    }
+    let mut records = Records::new(path, line, separator);
+    records.line += at;
+    let read = records.advance();
+    if records.cells.len() == width { read.map(drop) } else { Ok(()) }
 }
 
 /// Any way to write a number.

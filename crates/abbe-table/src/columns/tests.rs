@@ -136,6 +136,7 @@ fn names_are_there_once() {
     assert!(all(&["a", "a"]).contains("there are two columns `a`"));
     assert!(all(&["a", " "]).contains("a column has no name"));
     assert!(all(&[]).contains("no columns"));
+    assert!(all(&["a", &"x".repeat(66 << 10)]).contains("the name of column 2 has 66 KiB; at most 64 are read"));
 }
 
 #[test]

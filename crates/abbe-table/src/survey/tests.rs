@@ -211,3 +211,19 @@ fn what_a_file_does_not_tell_is_left_open() {
         surveyed("Messung 12;;;\nHalle 3;;;\nPunkt;Meas X;Joint 1 [°];Temp\n;[mm];;[F]\n1;12,5;3;68,2\n2;---;4;68,2\n");
     assert_eq!((layout.skip_lines, layout.skip_after_header, layout.has_header), (2, 1, true));
 }
+
+/// The row of names is a row of the table as the others are; a title before it is none.
+#[test]
+fn long_cells_of_the_row_of_names_are_refused() {
+    let path = Path::new("t.csv");
+    let long = "x".repeat(66 << 10);
+    let refused = |content: &str| likely_of(path, content.as_bytes()).map(drop).map_err(|error| error.to_string());
+    for content in [format!("X_mm,{long}\n1,2\n3,4\n"), format!("a title\nX_mm;{long}\n1;2\n3;4\n")] {
+        let line = content.lines().position(|line| line.contains(&long)).unwrap() + 1;
+        let expected = format!("t.csv:{line}:6: a cell has 66 KiB; at most 64 are read");
+        assert!(refused(&content).unwrap_err().starts_with(&expected), "{:?}", refused(&content));
+    }
+    assert_eq!(refused(&format!("X_mm,{}\n1,2\n3,4\n", &long[..64 << 10])), Ok(()));
+    assert_eq!(refused(&format!("{long}\nX_mm,Y_mm\n1,2\n3,4\n")), Ok(()));
+    assert_eq!(refused(&format!("#{long}\nX_mm,Y_mm\n1,2\n3,4\n")), Ok(()));
+}
