@@ -114,12 +114,23 @@ impl FromStr for StructuralLoop {
         if !tool {
             return error("it has to end with the tool `t`".to_owned());
         }
+        // Primes may be left out: of all axes, or of none.
+        let has_primes = primes.contains(&true);
         for (axis, prime) in axes.iter().zip(primes) {
-            if prime && axis.branch == Branch::Tool {
-                return error(format!(
-                    "the prime of {0}' says that it carries the workpiece, but it stands on the tool side of the bed",
-                    axis.name
-                ));
+            let name = &axis.name;
+            match axis.branch {
+                Branch::Tool if prime => {
+                    return error(format!(
+                        "the prime of {name}' says that it carries the workpiece, but it stands on the tool side of the bed"
+                    ));
+                }
+                Branch::Workpiece if has_primes && !prime => {
+                    return error(format!(
+                        "{name} stands on the workpiece side of the bed, and others there have a prime: write {name}' if it carries the \
+                         workpiece, or write it behind the bed"
+                    ));
+                }
+                _ => {}
             }
         }
         Ok(Self { axes })
@@ -187,6 +198,13 @@ mod tests {
                 "w b X' t",
                 Err(
                     "`w b X' t`: the prime of X' says that it carries the workpiece, but it stands on the tool side of the bed",
+                ),
+            ),
+            (
+                "w C' A' Z b Y X t",
+                Err(
+                    "`w C' A' Z b Y X t`: Z stands on the workpiece side of the bed, and others there have a prime: write Z' if it \
+                     carries the workpiece, or write it behind the bed",
                 ),
             ),
             ("X b t", Err("`X b t`: it has to begin with the workpiece `w`")),
