@@ -58,25 +58,34 @@ impl Group {
 /// would tell.
 pub fn gathered_outliers(problem: &Problem, calibration: &Calibration) -> Vec<String> {
     let sizes = sizes(problem, calibration);
-    let mut held: Option<Vec<Vec<f64>>> = None;
-    let large = |index: SetIndex, set: &ObservationSet, held: &mut Option<Vec<Vec<f64>>>| {
-        let own = sizes.get(index.0)?;
-        let told = of_large_residuals(problem, set, own, &[])?;
-        if problem.considered.unknowns.is_empty() {
-            return Some(told);
-        }
-        // Rows are not independent where they see what is held: it may be off, and they gather.
-        let held = held.get_or_insert_with(|| of_held_values(problem, calibration).unwrap_or_default());
-        of_large_residuals(problem, set, own, held.get(index.0)?)
+    let told = |held: &[Vec<f64>]| -> Vec<String> {
+        let of_set = |(index, set): (SetIndex, &ObservationSet)| {
+            let (own, held) = (sizes.get(index.0)?, held.get(index.0).map_or(&[][..], Vec::as_slice));
+            of_outliers(problem, set, &calibration.outliers, own, held)
+                .or_else(|| of_large_residuals(problem, set, own, held))
+        };
+        SetIndex::enumerate(&problem.sets).filter_map(of_set).collect()
     };
-    let sets = SetIndex::enumerate(&problem.sets);
-    sets.filter_map(|(index, set)| {
-        of_outliers(problem, set, &calibration.outliers).or_else(|| large(index, set, &mut held))
-    })
-    .collect()
+    let found = told(&[]);
+    if found.is_empty() || problem.considered.unknowns.is_empty() {
+        return found;
+    }
+    // Rows are not independent where they see what is held: it may be off, and they gather.
+    of_held_values(problem, calibration).map_or(found, |held| told(&held))
 }
 
-fn of_outliers(problem: &Problem, set: &ObservationSet, outliers: &[Outlier]) -> Option<String> {
+/// What held values may make of the residual of a row, in standard uncertainties.
+fn held_of(held: &[f64], place: usize) -> f64 {
+    held.get(place).copied().filter(|held| held.is_finite()).unwrap_or(0.0)
+}
+
+fn of_outliers(
+    problem: &Problem,
+    set: &ObservationSet,
+    outliers: &[Outlier],
+    sizes: &[f64],
+    held: &[f64],
+) -> Option<String> {
     let layout = &set.info().layout;
     let own: Vec<&Outlier> = outliers.iter().filter(|outlier| outlier.stage == set.name).collect();
     let is_out = |row: &RowIndex| {
@@ -85,7 +94,11 @@ fn of_outliers(problem: &Problem, set: &ObservationSet, outliers: &[Outlier]) ->
         let file = layout.data.files[origin.file].display().to_string();
         own.iter().any(|out| (out.line, out.row) == (origin.line, origin.row) && out.file == file)
     };
-    let rows: Vec<(RowIndex, bool)> = set.rows.iter().map(|row| (*row, !own.is_empty() && is_out(row))).collect();
+    let is_told = |(place, row): (usize, &RowIndex)| {
+        let is_explained = sizes.get(place).is_some_and(|size| *size <= FAR * held_of(held, place));
+        (*row, !own.is_empty() && !is_explained && is_out(row))
+    };
+    let rows: Vec<(RowIndex, bool)> = set.rows.iter().enumerate().map(is_told).collect();
     let (told, all) = gathered(problem, set, &rows, |_| true)?;
     Some(format!(
         "{} of the {} rows of {} in which {} are outliers, and {} of the {} others: is the column of {} right, or does the machine lack an \
@@ -157,9 +170,7 @@ fn of_large_residuals(problem: &Problem, set: &ObservationSet, sizes: &[f64], he
     let mut sorted: Vec<f64> = sizes.iter().copied().filter(|size| size.is_finite()).collect();
     sorted.sort_by(f64::total_cmp);
     let usual = sorted.get(sorted.len() / 2).copied().filter(|usual| *usual > EXACT)?;
-    let is_far = |(place, size): (usize, &f64)| {
-        *size > FAR * usual.hypot(held.get(place).copied().filter(|held| held.is_finite()).unwrap_or(0.0))
-    };
+    let is_far = |(place, size): (usize, &f64)| *size > FAR * usual.hypot(held_of(held, place));
     let rows: Vec<(RowIndex, bool)> = set.rows.iter().copied().zip(sizes.iter().enumerate().map(is_far)).collect();
     let all = rows.iter().filter(|(_, is_far)| *is_far).count();
     let is_wrong = |group: &Group| {
