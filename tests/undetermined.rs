@@ -234,7 +234,7 @@ fn the_side_from_which_an_axis_came_is_not_guessed_without_a_word() {
 /// whether the rows are held or read in batches.
 #[test]
 fn a_wrong_machine_file_is_told_before_what_is_not_determined() {
-    let words = "at the recorded positions the nominal machine is";
+    let words = "rough: table: at the recorded positions the nominal machine is";
     for batches in ["", ", batch_rows: 20"] {
         let small = Small::new();
         // An estimate of batches starts at no other one.
