@@ -26,6 +26,9 @@ const ROWS: usize = 5;
 /// How many times the median of all residuals is far: of normal ones 4 of 100.
 const FAR: f64 = 3.0;
 
+/// Part of the rows that holds each unknown at its place, so that all have one.
+const HARDLY: f64 = 1e-6;
+
 /// Residuals of exact data, in standard uncertainties, whose rounding gathers where axes are.
 const EXACT: f64 = 0.05;
 
@@ -147,10 +150,16 @@ fn of_held_values(problem: &Problem, calibration: &Calibration) -> Option<Vec<Ve
         }
     });
     taken.ok()?;
+    let norms: Vec<f64> =
+        (0..own).map(|column| lines.iter().map(|line| line.0[column].powi(2)).sum::<f64>().sqrt()).collect();
     // One after another: what is left of a column when the unknowns have followed it.
     for held in 0..considered.unknowns.len() {
-        let mut accumulator = Accumulator::new(own, lines.len());
+        let mut accumulator = Accumulator::new(own, lines.len() + own);
         lines.iter().for_each(|(by_unknowns, by_held)| accumulator.push(by_unknowns, by_held[held], 1.0));
+        // Unknowns that do the same, or nothing, share a step or make none: what rows see of it is the same.
+        for (unknown, norm) in norms.iter().enumerate() {
+            accumulator.push_some(&[unknown], &[if *norm > 0.0 { HARDLY * norm } else { 1.0 }], 0.0, 1.0);
+        }
         let step = accumulator.finish().step()?;
         for (by_unknowns, by_held) in &mut lines {
             by_held[held] += by_unknowns.iter().zip(&step).map(|(by, step)| by * step).sum::<f64>();
