@@ -53,10 +53,6 @@ pub fn write_folder(out: &Path, files: &BTreeMap<PathBuf, Vec<u8>>) -> Result<()
     }
     // Two commands that write the same folder do so one after the other.
     let _access = exclusive_access(parent(&place));
-    // An empty folder keeps its permissions and its owner.
-    if place.is_dir() {
-        let _ = as_it_was(&place, staging.path(), false);
-    }
     let taken = is_free(out).and_then(|()| take(staging.path(), &place).map_err(failed));
     match taken {
         Ok(()) => {
@@ -68,8 +64,10 @@ pub fn write_folder(out: &Path, files: &BTreeMap<PathBuf, Vec<u8>>) -> Result<()
     }
 }
 
-/// Moves a folder to where an empty one is, or nothing. Where that fails the empty one stays.
+/// Moves a folder to where an empty one is, whose permissions and owner it takes, or nothing. Where that fails the empty one stays.
 fn take(new: &Path, place: &Path) -> io::Result<()> {
+    // Nothing is there as a rule, and a disk may know no owners.
+    let _ = as_it_was(place, new, false);
     fs::rename(new, place).or_else(|error| match fs::remove_dir(place) {
         // Not every system replaces an empty folder.
         Ok(()) => fs::rename(new, place).inspect_err(|_| drop(fs::create_dir(place))),

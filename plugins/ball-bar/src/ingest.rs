@@ -81,8 +81,8 @@ const OF_MOVER: f64 = 1e-3;
 /// Part of its range by which a test overshoots at most at both ends together; of a longer one the range is a part that was chosen.
 const OVERSHOOT: f64 = 0.3;
 
-/// Distance between the middle of a test and that of its range that is told, rad: 0.2 degrees. The angles to start and to stop in are
-/// alike.
+/// Distance between the middle of a test and that of its range that is told, rad: 0.2 degrees, or a step from sample to
+/// sample where that is more. The angles to start and to stop in are alike.
 const BESIDE: f64 = 3.5e-3;
 
 /// Part of the stated range that a test has to cover: one of which the axis counts the other way round covers less.
