@@ -61,6 +61,7 @@ pub use abbe_results::{
     Status, Triangle, UncertaintyBudget, VERDICTS_FORMAT, VarianceFactor, Verdict, WeakDirection, WeighedSums,
     rule_or_name, schema_of_rules,
 };
+pub use abbe_settings::ranges::AboveZero;
 pub use abbe_settings::{
     Class, Convergence, Error, EvenSeries, Event, Label, Monitor, Names, PathItem, Place, Quantity, Result, Series,
     SettingsError, Termination, Unit, Whole, free_threads, from_json, from_settings, from_settings_in_range, harmless,

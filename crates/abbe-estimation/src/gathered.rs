@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{Axis, AxisKind, Calibration, ObservationSet, Outlier, Problem, RowIndex, SetIndex, StatusRole};
-use abbe_numerics::drawn_by_chance;
+use abbe_numerics::{Accumulator, LeastSquares, drawn_by_chance};
+
+use crate::weighted::Weighted;
 
 /// Probability, of all groups of a set together, below which outliers have not gathered by chance.
 const BY_CHANCE: f64 = 1e-3;
@@ -23,6 +25,9 @@ const ROWS: usize = 5;
 
 /// How many times the median of all residuals is far: of normal ones 4 of 100.
 const FAR: f64 = 3.0;
+
+/// Part of the rows that holds each unknown at its place, so that all have one.
+const HARDLY: f64 = 1e-6;
 
 /// Residuals of exact data, in standard uncertainties, whose rounding gathers where axes are.
 const EXACT: f64 = 0.05;
@@ -56,15 +61,34 @@ impl Group {
 /// would tell.
 pub fn gathered_outliers(problem: &Problem, calibration: &Calibration) -> Vec<String> {
     let sizes = sizes(problem, calibration);
-    let sets = SetIndex::enumerate(&problem.sets);
-    sets.filter_map(|(index, set)| {
-        of_outliers(problem, set, &calibration.outliers)
-            .or_else(|| of_large_residuals(problem, set, sizes.get(index.0)?))
-    })
-    .collect()
+    let told = |held: &[Vec<f64>]| -> Vec<String> {
+        let of_set = |(index, set): (SetIndex, &ObservationSet)| {
+            let (own, held) = (sizes.get(index.0)?, held.get(index.0).map_or(&[][..], Vec::as_slice));
+            of_outliers(problem, set, &calibration.outliers, own, held)
+                .or_else(|| of_large_residuals(problem, set, own, held))
+        };
+        SetIndex::enumerate(&problem.sets).filter_map(of_set).collect()
+    };
+    let found = told(&[]);
+    if found.is_empty() || problem.considered.unknowns.is_empty() {
+        return found;
+    }
+    // Rows are not independent where they see what is held: it may be off, and they gather.
+    of_held_values(problem, calibration).map_or(found, |held| told(&held))
 }
 
-fn of_outliers(problem: &Problem, set: &ObservationSet, outliers: &[Outlier]) -> Option<String> {
+/// What held values may make of the residual of a row, in standard uncertainties.
+fn held_of(held: &[f64], place: usize) -> f64 {
+    held.get(place).copied().filter(|held| held.is_finite()).unwrap_or(0.0)
+}
+
+fn of_outliers(
+    problem: &Problem,
+    set: &ObservationSet,
+    outliers: &[Outlier],
+    sizes: &[f64],
+    held: &[f64],
+) -> Option<String> {
     let layout = &set.info().layout;
     let own: Vec<&Outlier> = outliers.iter().filter(|outlier| outlier.stage == set.name).collect();
     let is_out = |row: &RowIndex| {
@@ -73,7 +97,11 @@ fn of_outliers(problem: &Problem, set: &ObservationSet, outliers: &[Outlier]) ->
         let file = layout.data.files[origin.file].display().to_string();
         own.iter().any(|out| (out.line, out.row) == (origin.line, origin.row) && out.file == file)
     };
-    let rows: Vec<(RowIndex, bool)> = set.rows.iter().map(|row| (*row, !own.is_empty() && is_out(row))).collect();
+    let is_told = |(place, row): (usize, &RowIndex)| {
+        let is_explained = sizes.get(place).is_some_and(|size| *size <= FAR * held_of(held, place));
+        (*row, !own.is_empty() && !is_explained && is_out(row))
+    };
+    let rows: Vec<(RowIndex, bool)> = set.rows.iter().enumerate().map(is_told).collect();
     let (told, all) = gathered(problem, set, &rows, |_| true)?;
     Some(format!(
         "{} of the {} rows of {} in which {} are outliers, and {} of the {} others: is the column of {} right, or does the machine lack an \
@@ -91,24 +119,68 @@ fn of_outliers(problem: &Problem, set: &ObservationSet, outliers: &[Outlier]) ->
 /// The largest residual of each row in standard uncertainties, by sets; NaN without a residual.
 fn sizes(problem: &Problem, calibration: &Calibration) -> Vec<Vec<f64>> {
     let Ok(residuals) = problem.residuals(&problem.values_of(calibration)) else { return Vec::new() };
-    let mut equations = residuals.into_iter().zip(problem.standard_uncertainties());
-    let of_set = |set: &ObservationSet| {
+    of_rows(problem, residuals.into_iter().zip(problem.standard_uncertainties()).map(|(residual, u)| residual / u))
+}
+
+/// The largest size of each row, by sets, of numbers in the order of the equations; NaN without one.
+fn of_rows(problem: &Problem, mut equations: impl Iterator<Item = f64>) -> Vec<Vec<f64>> {
+    let mut of_set = |set: &ObservationSet| {
         let layout = &set.info().layout;
         let of_row = |row: &RowIndex| {
-            let own = equations.by_ref().take(layout.rows[*row].equations);
-            own.map(|(residual, u)| (residual / u).abs()).fold(f64::NAN, f64::max)
+            equations.by_ref().take(layout.rows[*row].equations).map(f64::abs).fold(f64::NAN, f64::max)
         };
         set.rows.iter().map(of_row).collect()
     };
-    problem.sets.iter().map(of_set).collect()
+    problem.sets.iter().map(&mut of_set).collect()
 }
 
-fn of_large_residuals(problem: &Problem, set: &ObservationSet, sizes: &[f64]) -> Option<String> {
+/// What the uncertainty of all that is considered makes of the residuals of each row, in standard uncertainties, by sets: the unknowns
+/// have taken their part of it. None where it cannot be told.
+fn of_held_values(problem: &Problem, calibration: &Calibration) -> Option<Vec<Vec<f64>>> {
+    let (own, considered) = (problem.unknowns.len(), &problem.considered);
+    let mut extended = problem.with_values(&problem.values_of(calibration));
+    extended.unknowns.extend(considered.unknowns.iter().cloned());
+    let weighted = Weighted::new(&extended).ok()?;
+    let mut lines: Vec<(Vec<f64>, Vec<f64>)> = vec![Default::default(); weighted.rows()];
+    let taken = weighted.linearise(&extended.start(), &mut |first, residuals, derivatives| {
+        let of_block = derivatives.chunks_exact(own + considered.unknowns.len()).take(residuals.len());
+        for (line, derivatives) in lines[first..].iter_mut().zip(of_block) {
+            let (by_unknowns, by_held) = derivatives.split_at(own);
+            *line = (by_unknowns.to_vec(), by_held.to_vec());
+        }
+    });
+    taken.ok()?;
+    let norms: Vec<f64> =
+        (0..own).map(|column| lines.iter().map(|line| line.0[column].powi(2)).sum::<f64>().sqrt()).collect();
+    // One after another: what is left of a column when the unknowns have followed it.
+    for held in 0..considered.unknowns.len() {
+        let mut accumulator = Accumulator::new(own, lines.len() + own);
+        lines.iter().for_each(|(by_unknowns, by_held)| accumulator.push(by_unknowns, by_held[held], 1.0));
+        // Unknowns that do the same, or nothing, share a step or make none: what rows see of it is the same.
+        for (unknown, norm) in norms.iter().enumerate() {
+            accumulator.push_some(&[unknown], &[if *norm > 0.0 { HARDLY * norm } else { 1.0 }], 0.0, 1.0);
+        }
+        let step = accumulator.finish().step()?;
+        for (by_unknowns, by_held) in &mut lines {
+            by_held[held] += by_unknowns.iter().zip(&step).map(|(by, step)| by * step).sum::<f64>();
+        }
+    }
+    let size = |(_, by_held): &(Vec<f64>, Vec<f64>)| {
+        let of_row = |line: &Vec<f64>| by_held.iter().zip(line).map(|(by, covariance)| by * covariance).sum::<f64>();
+        let variance: f64 = by_held.iter().zip(&considered.covariance).map(|(by, line)| by * of_row(line)).sum();
+        variance.max(0.0).sqrt()
+    };
+    let sizes: Vec<f64> = lines.iter().map(size).collect();
+    Some(of_rows(problem, sizes.into_iter()))
+}
+
+/// `held` is what values that are held may make of the residuals of each row, in standard uncertainties; none where they make nothing.
+fn of_large_residuals(problem: &Problem, set: &ObservationSet, sizes: &[f64], held: &[f64]) -> Option<String> {
     let mut sorted: Vec<f64> = sizes.iter().copied().filter(|size| size.is_finite()).collect();
     sorted.sort_by(f64::total_cmp);
     let usual = sorted.get(sorted.len() / 2).copied().filter(|usual| *usual > EXACT)?;
-    let rows: Vec<(RowIndex, bool)> =
-        set.rows.iter().zip(sizes).map(|(row, size)| (*row, *size > FAR * usual)).collect();
+    let is_far = |(place, size): (usize, &f64)| *size > FAR * usual.hypot(held_of(held, place));
+    let rows: Vec<(RowIndex, bool)> = set.rows.iter().copied().zip(sizes.iter().enumerate().map(is_far)).collect();
     let all = rows.iter().filter(|(_, is_far)| *is_far).count();
     let is_wrong = |group: &Group| {
         let others = rows.len() - group.rows;

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use abbe_core::{Error, KnownInput, Label, Names, PathItem, Result, matches};
+use abbe_core::{AboveZero, Error, KnownInput, Label, Names, PathItem, Result, matches};
 
 /// The uncertainty of an artefact's rows, beyond the one number that the artefact itself takes, and which rows no fit uses.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize, JsonSchema)]
@@ -43,15 +43,19 @@ pub struct RowUncertainty {
     pub by: Option<String>,
     /// Standard uncertainty of the lengths in rows with a label; rows with other labels keep theirs.
     #[serde(default)]
+    #[schemars(with = "BTreeMap<String, AboveZero>")]
     pub standard_um: BTreeMap<String, f64>,
     /// Standard uncertainty of the angles in rows with a label.
     #[serde(default)]
+    #[schemars(with = "BTreeMap<String, AboveZero>")]
     pub standard_urad: BTreeMap<String, f64>,
     /// Standard uncertainty of each length of a row: of a ball centre along x, y, z.
     #[serde(default)]
+    #[schemars(with = "Vec<AboveZero>")]
     pub directions_um: Vec<f64>,
     /// Standard uncertainty of each angle of a row: of an orientation about x, y, z.
     #[serde(default)]
+    #[schemars(with = "Vec<AboveZero>")]
     pub directions_urad: Vec<f64>,
     /// Covariance of the lengths of every row with each other.
     #[serde(default)]
@@ -77,9 +81,11 @@ pub struct SharedError {
     pub by: String,
     /// Standard uncertainty of the shared error of lengths.
     #[serde(default)]
+    #[schemars(with = "Option<AboveZero>")]
     pub standard_uncertainty_um: Option<f64>,
     /// Standard uncertainty of the shared error of angles.
     #[serde(default)]
+    #[schemars(with = "Option<AboveZero>")]
     pub standard_uncertainty_urad: Option<f64>,
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Label, PathItem, Series, SettingsError, Whole, positive};
+use abbe_core::{AboveZero, Label, PathItem, Series, SettingsError, Whole, positive};
 use abbe_measuring::Measuring;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -177,6 +177,7 @@ pub struct Ordering {
 #[serde(deny_unknown_fields)]
 pub struct Again {
     /// Largest standard uncertainty of what has moved.
+    #[schemars(with = "AboveZero")]
     pub standard_uncertainty_um: f64,
     /// Until when this is wanted, on the clock of the data. Default: the end of the plan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -193,6 +194,7 @@ pub struct Change {
     /// Names or patterns: `dzt[t*]`, `EA0B[T_column:1]`.
     pub parameters: Vec<String>,
     /// Standard uncertainty of each, in its unit in memory (mm, rad, mm/K).
+    #[schemars(with = "AboveZero")]
     pub standard_uncertainty: f64,
 }
 

@@ -37,6 +37,8 @@ pub struct Document {
     pub file: PathBuf,
     /// What it says.
     pub value: Value,
+    /// Its last line, if that has no end.
+    pub unended_line: Option<usize>,
     places: Arc<BTreeMap<Vec<PathItem>, Marks>>,
 }
 
@@ -60,7 +62,8 @@ impl Document {
             let (line, column) = place.unwrap_or((1, 1));
             Error::usage(message).at(file, line, Some(column))
         })?;
-        Ok(Self { file: file.to_owned(), value, places: Arc::new(places) })
+        let unended_line = (!text.is_empty() && !text.ends_with(['\n', '\r'])).then(|| text.lines().count());
+        Ok(Self { file: file.to_owned(), value, unended_line, places: Arc::new(places) })
     }
 
     /// The root, to read from.

@@ -12,9 +12,24 @@ use crate::read_text;
 pub(crate) fn read_description(node: &Node<'_>, base: &Path) -> Result<Document, Error> {
     let path = base.join(node.text()?);
     let text = read_text(&path).map_err(|error| node.error(At::Value, error.message))?;
-    let document = Document::parse(&path, &text)?;
-    document.root().map()?;
-    Ok(document)
+    whole(Document::parse(&path, &text)?)
+}
+
+/// The document, unless it is no map, or a machine file that was cut off: a chain without axes, and without an end of its last line. The
+/// machine would have its axes at the origin.
+fn whole(document: Document) -> Result<Document, Error> {
+    let has = |key: &str| document.root().map().map(|keys| keys.iter().any(|(own, _)| *own == key));
+    match document.unended_line {
+        Some(line) if has("chain")? && !has("axes")? => {
+            let message = "the machine file ends here within a line, and has no `axes`: it looks cut off";
+            let help = "take the whole file; if this is all of it, end its last line";
+            Err(Error::usage(message).at(&document.file, line, None).help(help))
+        }
+        _ => {
+            document.root().map()?;
+            Ok(document)
+        }
+    }
 }
 
 /// The content of a machine file.
@@ -23,9 +38,7 @@ pub(crate) fn read_description(node: &Node<'_>, base: &Path) -> Result<Document,
 /// A file that cannot be read, and YAML that is wrong or no map, with line and column.
 pub fn machine_description(file: &Path) -> Result<Value, Error> {
     let text = read_text(file).map_err(|error| error.in_file(file))?;
-    let document = Document::parse(file, &text)?;
-    document.root().map()?;
-    Ok(document.value)
+    Ok(whole(Document::parse(file, &text)?)?.value)
 }
 
 /// Maps are merged, anything else of `over` replaces what is `under` it.

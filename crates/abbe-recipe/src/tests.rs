@@ -75,6 +75,7 @@ fn folder() -> (tempfile::TempDir, PathBuf) {
         ("broken.yaml", "chain:\n  b: [1\n"),
         ("list.yaml", "- 1\n"),
         ("misspelt.yaml", "tol_mm: 80\n"),
+        ("cut.yaml", "chain: w X t\ntable_frame: origin at the po"),
     ] {
         std::fs::write(folder.path().join(name), text).unwrap();
     }
@@ -247,6 +248,11 @@ fn wrong_recipes_are_refused_with_place_and_help() {
             "file: machine.yaml",
             "file: broken.yaml",
             "broken.yaml:3:1: stage `hu40t`: this is not YAML: while parsing a flow sequence, expected ',' or ']'",
+        ),
+        (
+            "file: machine.yaml",
+            "file: cut.yaml",
+            "cut.yaml:2: stage `hu40t`: the machine file ends here within a line, and has no `axes`: it looks cut off",
         ),
         ("file: machine.yaml", "file: list.yaml", "list.yaml:1:1: stage `hu40t`: a map was expected, not a list"),
         ("file: machine.yaml", "file: 3", "r.yaml:15:11: stage `hu40t`: file: text was expected, not a number"),

@@ -3,8 +3,10 @@
 //! A range that a setting does not state itself follows from the unit in its name. These ranges are wide: beyond them a number is a
 //! mistake of units or of typing, whatever the machine.
 
+use std::borrow::Cow;
 use std::ops::RangeInclusive;
 
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde_json::{Map, Value, json};
 
 use crate::settings::{PathItem, SettingsError};
@@ -68,6 +70,24 @@ const NOT_NEGATIVE: [&str; 8] = [
 /// that is smaller would let its row alone decide everything.
 const SMALLEST: [(&str, f64); 6] =
     [("_um_per_m", 1e-6), ("_per_K", 1e-12), ("_urad", 1e-3), ("_um", 1e-6), ("_K", 1e-9), ("uncertainty", 1e-30)];
+
+/// A number above zero, for the schema of a setting: `#[schemars(with = "AboveZero")]`. A standard uncertainty is then as large as one
+/// can be at least, so that no message offers a 0 which is refused.
+pub enum AboveZero {}
+
+impl JsonSchema for AboveZero {
+    fn inline_schema() -> bool {
+        true
+    }
+
+    fn schema_name() -> Cow<'static, str> {
+        "AboveZero".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "type": "number", "exclusiveMinimum": 0 })
+    }
+}
 
 /// Whether a name says of which kind its number is. `mm` and `mrad` are names, too.
 fn largest(name: &str) -> Option<f64> {
@@ -136,11 +156,17 @@ fn add_range(schema: &mut Map<String, Value>, name: &str) {
         false if name.ends_with("_degC") => -273.15,
         false => -most,
     };
+    let is_above_zero = bound(schema, "exclusiveMinimum") == Some(0.0);
     let mut set = |has: bool, key: &str, value: Value| (!has).then(|| schema.insert(key.to_owned(), value));
     set(has_least, "minimum", shortest(least));
     set(has_most, "maximum", shortest(most));
-    if let Some(least) = smallest(name) {
-        set(false, "not", json!({ "exclusiveMinimum": 0, "exclusiveMaximum": least }));
+    match smallest(name) {
+        Some(least) if is_above_zero => {
+            schema.remove("exclusiveMinimum");
+            schema.insert("minimum".to_owned(), json!(least));
+        }
+        Some(least) => drop(set(false, "not", json!({ "exclusiveMinimum": 0, "exclusiveMaximum": least }))),
+        None => {}
     }
 }
 
@@ -322,6 +348,10 @@ mod tests {
         tip_mm: [f64; 3],
         label: crate::Label,
         standard_uncertainty_um: Option<f64>,
+        #[schemars(with = "Option<AboveZero>")]
+        reading_standard_uncertainty_um: Option<f64>,
+        #[schemars(with = "Vec<AboveZero>")]
+        steps_mm: Vec<f64>,
         standard_um: BTreeMap<String, f64>,
         lengths_mm: crate::Series,
         #[schemars(range(min = 2, max = 9))]
@@ -355,6 +385,11 @@ mod tests {
                 json!({ "standard_uncertainty_um": 1e-300 }),
                 "standard_uncertainty_um: 1e-300: a number from 0 to 1e6, 0 or at least 1e-6, was expected",
             ),
+            (
+                json!({ "reading_standard_uncertainty_um": 0 }),
+                "reading_standard_uncertainty_um: 0: a number from 1e-6 to 1e6 was expected",
+            ),
+            (json!({ "steps_mm": [1, 0] }), "steps_mm[1]: 0: a number above 0 to 1e6 was expected"),
             (json!({ "standard_uncertainty_um": -1 }), "standard_uncertainty_um: -1: a number from 0 to 1e6, 0 or"),
             (json!({ "standard_um": { "a": 1e-10 } }), "standard_um.a: 1e-10: a number from 0"),
             (json!({ "lengths_mm": [1, 1e9] }), "lengths_mm[1]: 1000000000: a number from -1e6 to 1e6"),

@@ -19,6 +19,9 @@ const RAGGED: &str = "correct the file: a separator is missing there or one too 
 const TWINS: &str = "give one of them another name in the file, or take columns by number: `header: false`, with `skip_lines` for \
                      the header row and `columns: { X_mm: 1 }`";
 
+/// What to do about a header row that has the same number twice.
+const NUMBERS: &str = "the first line names the columns, and this one has numbers: is the row of names missing, or does no line end?";
+
 /// Bytes of the longest cell: 64 KiB.
 pub(crate) const LONGEST_CELL: usize = 64 << 10;
 
@@ -394,6 +397,7 @@ impl<'a> Records<'a> {
                 }
             };
             let help = match twin {
+                Some(twin) if twin.header.parse::<f64>().is_ok() => NUMBERS,
                 Some(_) => TWINS,
                 None => {
                     "give it one, or take columns by name: `columns: { X_mm: NAME }` where it is read by `ingest: csv`"

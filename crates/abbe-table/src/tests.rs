@@ -88,6 +88,7 @@ fn what_is_wrong_is_said_with_what_to_do() {
         (b"\0\0\xfe\xff\0\0\0X", "UTF-32", "save it as UTF-8"),
         (b"X_mm,Y_mm", "the file is one line", "each row needs a line of its own"),
         (b"X_mm,X_mm\n1,2\n", "two columns", "take columns by number"),
+        (b"X_mm,Y_mm,-1,2,-1,3\n", "two columns `-1`", "does no line end?"),
         (b"X_mm,Y_mm\n1\n", "1 cell; 2 were expected", "correct the file"),
         (b"X_mm,Y_mm\n,1\n", "a number was expected", "`no_data"),
     ];

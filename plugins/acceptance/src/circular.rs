@@ -45,7 +45,7 @@ struct Circular {
     /// Points that a probe scanned on a ring or a sphere, instead of angles and readings.
     #[serde(default)]
     scanned: Option<Scanned>,
-    /// Standard uncertainty of a reading. D and F have it, G and H that of a difference of two.
+    /// Standard uncertainty of a reading. D and F have it, G and H that of a difference of two. 0: it is not known, and none has one.
     #[serde(default)]
     standard_uncertainty_um: f64,
     /// Largest admissible values: `G_um` (both directions, smallest zone), `G_b_um`, `G_lsc_um`, `G_b_lsc_um`, `H_um`, and of the sizes

@@ -47,7 +47,7 @@ struct Rotary {
     /// Columns of the readings along x, y and z of the machine, without their unit; or the one column of a ball bar.
     #[serde(default = "readings")]
     readings: Vec<String>,
-    /// Standard uncertainty of a reading. Ranges have that of a difference of two.
+    /// Standard uncertainty of a reading. Ranges have that of a difference of two. 0: it is not known, and ranges have none.
     #[serde(default)]
     standard_uncertainty_um: f64,
     /// Largest admissible ranges, of both ways together where both were measured: `radial_um`, `tangential_um`, `axial_um`, `x_um`, `y_um`,

@@ -14,9 +14,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Error, InputFile, KinematicModel, KnownInput,
-    LabelText, Layout, Observations, ObservationsInfo, Orientation, Parameter, ParameterRole, PathItem, Quantity,
-    RankPoint, Result, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
+    AboveZero, Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Error, InputFile, KinematicModel,
+    KnownInput, LabelText, Layout, Observations, ObservationsInfo, Orientation, Parameter, ParameterRole, PathItem,
+    Quantity, RankPoint, Result, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
 };
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -46,6 +46,7 @@ struct Settings {
     /// a single bar the column may be missing.
     bars_mm: BTreeMap<String, f64>,
     /// Standard uncertainty of one reading.
+    #[schemars(with = "AboveZero")]
     standard_uncertainty_um: f64,
     /// Whether a reading follows errors exactly, or to first order, as usual diagnoses of circles take it.
     #[serde(default)]

@@ -17,9 +17,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Error, Feature, InputFile, KinematicModel, KnownInput,
-    Label, Layout, Observations, ObservationsInfo, Parameter, PathItem, Quantity, Result, SettingsError, Target, Unit,
-    not_negative, plain_naming, pose_columns, positive,
+    AboveZero, Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Error, Feature, InputFile, KinematicModel,
+    KnownInput, Label, Layout, Observations, ObservationsInfo, Parameter, PathItem, Quantity, Result, SettingsError,
+    Target, Unit, not_negative, plain_naming, pose_columns, positive,
 };
 use abbe_dcc::CertifiedLength;
 use abbe_probe::EffectiveRadius;
@@ -49,6 +49,7 @@ struct Settings {
     /// CSV file of the nominal balls: feature, x_mm, y_mm, z_mm, diameter_mm in the table frame.
     nominal: String,
     /// Standard uncertainty of one touch, or of each coordinate of a centre.
+    #[schemars(with = "AboveZero")]
     standard_uncertainty_um: f64,
     /// What a data row is.
     #[serde(default)]
@@ -134,6 +135,7 @@ struct Distance {
     length_mm: Option<f64>,
     /// Its standard uncertainty.
     #[serde(default)]
+    #[schemars(with = "Option<AboveZero>")]
     standard_uncertainty_um: Option<f64>,
     /// The digital calibration certificate that states both, in their place.
     #[serde(default)]

@@ -8,9 +8,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Feature, InputFile, KinematicModel, Layout,
-    Observations, ObservationsInfo, Quantity, Result, RowBatch, RowIndex, SettingsError, Target, not_negative,
-    plain_naming, pose_columns, positive,
+    AboveZero, Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Feature, InputFile,
+    KinematicModel, Layout, Observations, ObservationsInfo, Quantity, Result, RowBatch, RowIndex, SettingsError,
+    Target, not_negative, plain_naming, pose_columns, positive,
 };
 use abbe_dcc::CertifiedLength;
 use abbe_probe::EffectiveRadius;
@@ -39,6 +39,7 @@ struct Settings {
     /// table frame.
     nominal: String,
     /// Standard uncertainty of one touch.
+    #[schemars(with = "AboveZero")]
     standard_uncertainty_um: f64,
     /// Diameters that are estimated (`ring[1].diameter`) or stated by a certificate with uncertainty.
     #[serde(default)]

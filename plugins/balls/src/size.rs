@@ -1,8 +1,8 @@
 //! Sizes of features: nominal, or a diameter that a certificate states, that is estimated, or both.
 
 use abbe_core::{
-    Context, Equations, Error, KnownInput, Label, Layout, Parameter, ParameterRole, PathItem, Result, SettingsError,
-    Unit, positive,
+    AboveZero, Context, Equations, Error, KnownInput, Label, Layout, Parameter, ParameterRole, PathItem, Result,
+    SettingsError, Unit, positive,
 };
 use abbe_dcc::CertifiedLength;
 use schemars::JsonSchema;
@@ -16,6 +16,7 @@ pub struct Diameter {
     pub feature: Label,
     /// Standard uncertainty of the diameter in the nominal file, from its certificate.
     #[serde(default)]
+    #[schemars(with = "Option<AboveZero>")]
     pub standard_uncertainty_um: Option<f64>,
     /// The digital calibration certificate of the ball or ring: its diameter with its uncertainty, in place of those of the
     /// nominal file and of `standard_uncertainty_um`.

@@ -14,9 +14,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, InputFile, KinematicModel, LabelText,
-    Layout, ListedBy, Observations, ObservationsInfo, Parameter, Quantity, Result, RowBatch, RowIndex, SettingsError,
-    Target, Unit, not_negative, plain_naming, pose_columns, positive,
+    AboveZero, Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, InputFile, KinematicModel,
+    LabelText, Layout, ListedBy, Observations, ObservationsInfo, Parameter, Quantity, Result, RowBatch, RowIndex,
+    SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
 };
 use abbe_dcc::CertificateFile;
 use nalgebra::Vector3;
@@ -63,6 +63,7 @@ struct Settings {
     #[serde(default = "default_name")]
     name: String,
     /// Standard uncertainty of one measured coordinate.
+    #[schemars(with = "AboveZero")]
     standard_uncertainty_um: f64,
     /// Standard uncertainty of every coordinate of the calibration, shared by all measurements of the point.
     #[serde(default)]

@@ -18,7 +18,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Context, DataRow, Dataset, Error, InputFile, KinematicModel, Label, LabelText,
+    AboveZero, Artefact, ColumnHeader, Context, DataRow, Dataset, Error, InputFile, KinematicModel, Label, LabelText,
     Observations, PathItem, Quantity, Result, SettingsError, Target, nearest, pose_columns, positive,
 };
 use schemars::JsonSchema;
@@ -48,9 +48,11 @@ struct Settings {
     measurements: BTreeMap<String, Measurement>,
     /// Standard uncertainty of one reading of a length, for measurements that do not state their own.
     #[serde(default)]
+    #[schemars(with = "Option<AboveZero>")]
     standard_uncertainty_um: Option<f64>,
     /// Standard uncertainty of one reading of an angle, for measurements that do not state their own.
     #[serde(default)]
+    #[schemars(with = "Option<AboveZero>")]
     standard_uncertainty_urad: Option<f64>,
 }
 
@@ -99,9 +101,11 @@ struct Measurement {
     drift: Option<bool>,
     /// Standard uncertainty of one reading of a length.
     #[serde(default)]
+    #[schemars(with = "Option<AboveZero>")]
     standard_uncertainty_um: Option<f64>,
     /// Standard uncertainty of one reading of an angle.
     #[serde(default)]
+    #[schemars(with = "Option<AboveZero>")]
     standard_uncertainty_urad: Option<f64>,
 }
 

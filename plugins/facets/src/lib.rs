@@ -12,9 +12,9 @@ use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, Feature, InputFile, KinematicModel,
-    Label, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Poses, Quantity, Result,
-    RowBatch, RowIndex, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
+    AboveZero, Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, Feature, InputFile,
+    KinematicModel, Label, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem, Poses, Quantity,
+    Result, RowBatch, RowIndex, SettingsError, Target, Unit, not_negative, plain_naming, pose_columns, positive,
 };
 use abbe_probe::EffectiveRadius;
 use nalgebra::{Matrix3, Vector3};
@@ -39,6 +39,7 @@ struct Settings {
     /// CSV file of the nominal facets: feature, x_mm, y_mm, z_mm, nx, ny, nz in the table frame.
     nominal: String,
     /// Standard uncertainty of one touch along the normal.
+    #[schemars(with = "AboveZero")]
     standard_uncertainty_um: f64,
     /// Standard uncertainty of the effective stylus radius, shared by all touches.
     #[serde(default)]

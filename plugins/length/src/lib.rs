@@ -10,10 +10,10 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Absent, Artefact, Axis, AxisKind, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, InputFile,
-    KinematicModel, KnownInput, LabelText, Layout, Observations, ObservationsInfo, Parameter, ParameterRole, PathItem,
-    Poses, Quantity, RankPoint, Result, RowBatch, RowIndex, SettingsError, StatusColumn, Target, Unit, not_negative,
-    pose_columns, positive,
+    AboveZero, Absent, Artefact, Axis, AxisKind, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error,
+    InputFile, KinematicModel, KnownInput, LabelText, Layout, Observations, ObservationsInfo, Parameter, ParameterRole,
+    PathItem, Poses, Quantity, RankPoint, Result, RowBatch, RowIndex, SettingsError, StatusColumn, Target, Unit,
+    not_negative, pose_columns, positive,
 };
 use abbe_dcc::{CertificateFile, DigitalCertificate};
 use nalgebra::Vector3;
@@ -38,6 +38,7 @@ abbe_core::register!(
 #[serde(deny_unknown_fields)]
 struct Settings {
     /// Standard uncertainty of one measured length.
+    #[schemars(with = "AboveZero")]
     standard_uncertainty_um: f64,
     /// Whether the length is known (column `reference_mm`) or estimated: `length`, or `bar[1].length` for every label
     /// of the column `bar`.

@@ -14,8 +14,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Context, DataRow, Dataset, InputFile, KinematicModel, Layout, Observations, Quantity,
-    Result, SettingsError, Target, plain_naming, pose_columns, positive,
+    AboveZero, Artefact, ColumnHeader, Context, DataRow, Dataset, InputFile, KinematicModel, Layout, Observations,
+    Quantity, Result, SettingsError, Target, plain_naming, pose_columns, positive,
 };
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use schemars::JsonSchema;
@@ -39,8 +39,10 @@ abbe_core::register!(
 #[serde(deny_unknown_fields)]
 struct Settings {
     /// Standard uncertainty of each coordinate of an observed position.
+    #[schemars(with = "AboveZero")]
     standard_uncertainty_um: f64,
     /// Standard uncertainty of each component of an observed orientation, as a small rotation.
+    #[schemars(with = "AboveZero")]
     standard_uncertainty_urad: f64,
     /// Which pose a data row has.
     #[serde(default)]

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, ColumnHeader, Contact, Context, Dataset, Equations, Error, InputFile, KinematicModel, Layout,
+    AboveZero, Artefact, ColumnHeader, Contact, Context, Dataset, Equations, Error, InputFile, KinematicModel, Layout,
     Observations, ObservationsInfo, Parameter, Quantity, Result, RowBatch, RowIndex, SettingsError, Target,
     plain_naming, pose_columns, positive,
 };
@@ -37,6 +37,7 @@ abbe_core::register!(
 #[serde(deny_unknown_fields)]
 struct Settings {
     /// Standard uncertainty of each coordinate of an observed position.
+    #[schemars(with = "AboveZero")]
     standard_uncertainty_um: f64,
 }
 

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Artefact, AxisKind, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Feature, InputFile,
+    AboveZero, Artefact, AxisKind, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Feature, InputFile,
     KinematicModel, LabelText, Layout, NominalReading, Observations, ObservationsInfo, Orientation, Parameter,
     ParameterRole, Quantity, RankPoint, Result, RowBatch, RowIndex, SettingsError, Target, Unit, plain_naming,
     pose_columns, positive,
@@ -37,6 +37,7 @@ struct Settings {
     /// every row; with a single ball it may be missing.
     nominal: String,
     /// Standard uncertainty of each reading.
+    #[schemars(with = "AboveZero")]
     standard_uncertainty_um: f64,
     /// The columns of the readings along x, y and z, without their unit: tip minus ball.
     #[serde(default = "readings")]

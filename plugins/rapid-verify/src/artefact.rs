@@ -4,9 +4,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use abbe_core::{
-    Approach, Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, Feature, InputFile,
-    KinematicModel, Layout, ListedBy, Observations, ObservationsInfo, Parameter, ParameterRole, Quantity, Result,
-    RowBatch, RowIndex, SettingsError, Target, Unit, plain_naming, pose_columns, positive,
+    AboveZero, Approach, Artefact, ColumnHeader, Contact, Context, DataRow, Dataset, Equations, Error, Feature,
+    InputFile, KinematicModel, Layout, ListedBy, Observations, ObservationsInfo, Parameter, ParameterRole, Quantity,
+    Result, RowBatch, RowIndex, SettingsError, Target, Unit, plain_naming, pose_columns, positive,
 };
 use abbe_probe::EffectiveRadius;
 use nalgebra::Vector3;
@@ -33,6 +33,7 @@ struct Settings {
     /// CSV file of the nominal points: point, facet, x_mm, y_mm, z_mm, nx, ny, nz in the table frame, approach (`-Z`).
     nominal: String,
     /// Standard uncertainty of one touch along the normal.
+    #[schemars(with = "AboveZero")]
     standard_uncertainty_um: f64,
 }
 

@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use abbe_core::{
-    Calibration, ColumnHeader, Context, Dataset, Error, Estimate, EstimateSource, Identifiability, Passes, Problem,
-    Result, SettingsError, positive,
+    AboveZero, Calibration, ColumnHeader, Context, Dataset, Error, Estimate, EstimateSource, Identifiability, Passes,
+    Problem, Result, SettingsError, positive,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -74,6 +74,7 @@ pub struct Motion {
     pub columns: Columns,
     /// Standard uncertainty of a reading, for ranges of single readings. The harmonics do not need it.
     #[serde(default)]
+    #[schemars(with = "Option<AboveZero>")]
     pub standard_uncertainty_um: Option<f64>,
     /// Smallest and largest range that readings of a sensor may have.
     #[serde(default = "plausible")]

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Label, PathItem, SettingsError, positive};
+use abbe_core::{AboveZero, Label, PathItem, SettingsError, positive};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -46,6 +46,7 @@ pub struct Settings {
     /// Standard uncertainty of one reading by method: those that the log may name.
     pub repeatability_um: BTreeMap<String, Repeatability>,
     /// Standard uncertainty with which presets are set.
+    #[schemars(with = "AboveZero")]
     pub setting_standard_uncertainty_um: f64,
     /// A reading that is further from the median of its repeats than this many of its standard uncertainties is spoiled.
     #[serde(default = "six")]
@@ -80,6 +81,7 @@ pub struct Master {
     /// Its calibrated radius.
     pub radius_mm: f64,
     /// Standard uncertainty of both, which do not depend on each other.
+    #[schemars(with = "AboveZero")]
     pub standard_uncertainty_um: f64,
     /// Its identity, the same in all recipes that use it. Default: a hash of its values.
     #[serde(default, skip_serializing_if = "Option::is_none")]

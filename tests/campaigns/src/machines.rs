@@ -163,6 +163,11 @@ pub fn write(seed: u64, number: u64, folder: &Path) -> (String, Wanted) {
     (format!("{:?}", case.artefact), wanted)
 }
 
+/// The laws that one case breaks.
+pub fn broken(seed: u64, number: u64) -> Vec<String> {
+    one(seed, number).2
+}
+
 /// One case: its kind, how it ended, the laws that it broke, the largest deviation of an estimated value in standard uncertainties.
 fn one(seed: u64, number: u64) -> (String, End, Vec<String>, f64) {
     let folder = tempfile::tempdir().expect("a temporary folder");
