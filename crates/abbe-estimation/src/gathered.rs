@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{Axis, AxisKind, Calibration, ObservationSet, Outlier, Problem, RowIndex, SetIndex, StatusRole};
-use abbe_numerics::{Accumulator, LeastSquares, drawn_by_chance};
+use abbe_numerics::{LeastSquares, drawn_by_chance};
 
 use crate::weighted::Weighted;
 
@@ -26,8 +26,8 @@ const ROWS: usize = 5;
 /// How many times the median of all residuals is far: of normal ones 4 of 100.
 const FAR: f64 = 3.0;
 
-/// Part of the rows that holds each unknown at its place, so that all have one.
-const HARDLY: f64 = 1e-6;
+/// Part of the largest singular value from which rows tell unknowns apart.
+const TOLD_APART: f64 = 1e-6;
 
 /// Residuals of exact data, in standard uncertainties, whose rounding gathers where axes are.
 const EXACT: f64 = 0.05;
@@ -140,37 +140,27 @@ fn of_held_values(problem: &Problem, calibration: &Calibration) -> Option<Vec<Ve
     let (own, considered) = (problem.unknowns.len(), &problem.considered);
     let mut extended = problem.with_values(&problem.values_of(calibration));
     extended.unknowns.extend(considered.unknowns.iter().cloned());
-    let weighted = Weighted::new(&extended).ok()?;
-    let mut lines: Vec<(Vec<f64>, Vec<f64>)> = vec![Default::default(); weighted.rows()];
-    let taken = weighted.linearise(&extended.start(), &mut |first, residuals, derivatives| {
-        let of_block = derivatives.chunks_exact(own + considered.unknowns.len()).take(residuals.len());
-        for (line, derivatives) in lines[first..].iter_mut().zip(of_block) {
-            let (by_unknowns, by_held) = derivatives.split_at(own);
-            *line = (by_unknowns.to_vec(), by_held.to_vec());
+    let (weighted, at) = (Weighted::new(&extended).ok()?, extended.start());
+    let together = weighted.factor(&at, None).ok()?;
+    // Unknowns that no row tells apart share what rows see of them.
+    let spectrum = together.without_unknowns(|unknown| unknown >= own).spectrum();
+    let root = spectrum.covariance_root(spectrum.singular_values().rank(TOLD_APART));
+    let follow = root.sensitivities(&together);
+    let mut sizes = vec![0.0; weighted.rows()];
+    let left_of = |line: &[f64]| -> f64 {
+        let left: Vec<f64> = (0..considered.unknowns.len())
+            .map(|held| line[own + held] + line.iter().zip(&follow).map(|(by, step)| by * step[held]).sum::<f64>())
+            .collect();
+        let of_line = |covariance: &Vec<f64>| left.iter().zip(covariance).map(|(by, with)| by * with).sum::<f64>();
+        left.iter().zip(&considered.covariance).map(|(by, covariance)| by * of_line(covariance)).sum()
+    };
+    let taken = weighted.linearise(&at, &mut |first, residuals, derivatives| {
+        let lines = derivatives.chunks_exact(own + considered.unknowns.len());
+        for (size, line) in sizes[first..first + residuals.len()].iter_mut().zip(lines) {
+            *size = left_of(line).max(0.0).sqrt();
         }
     });
     taken.ok()?;
-    let norms: Vec<f64> =
-        (0..own).map(|column| lines.iter().map(|line| line.0[column].powi(2)).sum::<f64>().sqrt()).collect();
-    // One after another: what is left of a column when the unknowns have followed it.
-    for held in 0..considered.unknowns.len() {
-        let mut accumulator = Accumulator::new(own, lines.len() + own);
-        lines.iter().for_each(|(by_unknowns, by_held)| accumulator.push(by_unknowns, by_held[held], 1.0));
-        // Unknowns that do the same, or nothing, share a step or make none: what rows see of it is the same.
-        for (unknown, norm) in norms.iter().enumerate() {
-            accumulator.push_some(&[unknown], &[if *norm > 0.0 { HARDLY * norm } else { 1.0 }], 0.0, 1.0);
-        }
-        let step = accumulator.finish().step()?;
-        for (by_unknowns, by_held) in &mut lines {
-            by_held[held] += by_unknowns.iter().zip(&step).map(|(by, step)| by * step).sum::<f64>();
-        }
-    }
-    let size = |(_, by_held): &(Vec<f64>, Vec<f64>)| {
-        let of_row = |line: &Vec<f64>| by_held.iter().zip(line).map(|(by, covariance)| by * covariance).sum::<f64>();
-        let variance: f64 = by_held.iter().zip(&considered.covariance).map(|(by, line)| by * of_row(line)).sum();
-        variance.max(0.0).sqrt()
-    };
-    let sizes: Vec<f64> = lines.iter().map(size).collect();
     Some(of_rows(problem, sizes.into_iter()))
 }
 

@@ -20,7 +20,8 @@ const TWINS: &str = "give one of them another name in the file, or take columns 
                      the header row and `columns: { X_mm: 1 }`";
 
 /// What to do about a header row that has the same number twice.
-const NUMBERS: &str = "the first line names the columns, and this one has numbers: is the row of names missing, or does no line end?";
+const NUMBERS: &str =
+    "the first line names the columns, and this one has numbers: is the row of names missing, or does no line end?";
 
 /// Bytes of the longest cell: 64 KiB.
 pub(crate) const LONGEST_CELL: usize = 64 << 10;
