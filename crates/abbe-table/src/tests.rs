@@ -78,7 +78,7 @@ fn what_is_wrong_is_said_with_its_place() {
 /// What to do is said as well, and what is said helps.
 #[test]
 fn what_is_wrong_is_said_with_what_to_do() {
-    let cases: [(&[u8], &str, &str); 7] = [
+    let cases: [(&[u8], &str, &str); 8] = [
         (
             b"T_degC\n293.15\n",
             "a temperature from -100 to 200",
