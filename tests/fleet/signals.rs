@@ -47,7 +47,10 @@ fn a_signal_leaves_nothing_temporary_and_nothing_half() {
         for (name, content) in contents(at).into_iter().filter(|(name, _)| !name.ends_with("plant.sqlite")) {
             assert!(whole[&name] == content, "{} is half-written", name.display());
         }
-        let _ = std::fs::remove_dir_all(at.join("fleet.merged"));
+        let merged = at.join("fleet.merged");
+        let is_empty = std::fs::read_dir(&merged).is_ok_and(|mut entries| entries.next().is_none());
+        assert!(!is_empty, "a folder without tables stays");
+        let _ = std::fs::remove_dir_all(merged);
     });
     assert!(ended > 0, "no signal came in time");
     ok(&quiet(at, &["fleet", "merge", "fleet.manifest.jsonl", "--calibrations"]));

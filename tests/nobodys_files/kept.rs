@@ -6,7 +6,7 @@ use std::process::Command;
 use std::time::{Duration, SystemTime};
 
 use super::run;
-use crate::support::{Small, as_typed, temporary};
+use crate::support::{Small, abbe, as_typed, root, temporary};
 
 #[test]
 fn folders_among_results_keep_permissions_and_times() {
@@ -37,6 +37,26 @@ fn folders_among_results_keep_permissions_and_times() {
     let mode = fs::metadata(small.path("out/recipe/private")).expect("it is there").permissions().mode();
     assert_eq!(mode & 0o7777, 0o555);
     fs::set_permissions(small.path("out/recipe/private"), fs::Permissions::from_mode(0o755)).expect("its owner may");
+}
+
+/// Somebody may have closed a folder of results to others.
+#[test]
+fn folders_of_results_keep_permissions() {
+    let folder = temporary();
+    let out = folder.path().display().to_string();
+    let run = || {
+        let printed = abbe(&root(), &["run", "pipelines/positioner.yaml", "--out", &out]);
+        assert_eq!(printed.status, 0, "{}", printed.stderr);
+    };
+    run();
+    let errors = folder.path().join("positioner/errors");
+    for mode in [0o700, 0o500] {
+        fs::set_permissions(&errors, fs::Permissions::from_mode(mode)).expect("its owner may");
+        run();
+        let found = fs::metadata(&errors).expect("it is there").permissions().mode();
+        assert_eq!(found & 0o7777, mode, "{found:o}");
+    }
+    fs::set_permissions(&errors, fs::Permissions::from_mode(0o755)).expect("its owner may");
 }
 
 /// A new folder takes the place of an empty one, and not its permissions.

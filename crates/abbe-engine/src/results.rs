@@ -166,20 +166,28 @@ impl ResultFolder {
         Ok(linked)
     }
 
-    /// The folder itself, and those in it that somebody else made, relative to it, the innermost first.
-    fn folders_of_others(&self) -> Vec<PathBuf> {
-        let mut folders = BTreeSet::from([PathBuf::new()]);
+    /// The folder itself and all in it that stay, relative to it, the innermost first; whether somebody else made it.
+    fn folders(&self) -> Vec<(PathBuf, bool)> {
+        let above = |name: &PathBuf, skipped: usize| name.ancestors().skip(skipped).map(Path::to_path_buf).collect();
+        let mut folders: BTreeMap<PathBuf, bool> = BTreeMap::new();
+        for name in &self.ours {
+            let own: Vec<PathBuf> = above(name, 1);
+            folders.extend(own.into_iter().map(|folder| (folder, false)));
+        }
         for name in &self.others {
             let is_folder = self.place.join(name).symlink_metadata().is_ok_and(|found| found.is_dir());
-            folders.extend(name.ancestors().skip(usize::from(!is_folder)).map(Path::to_path_buf));
+            let own: Vec<PathBuf> = above(name, usize::from(!is_folder));
+            folders.extend(own.into_iter().map(|folder| (folder, true)));
         }
+        folders.insert(PathBuf::new(), false);
         folders.into_iter().rev().collect()
     }
 
-    /// Gives folders of others in `staged` the permissions, the owner and the times that they have, as far as that is allowed.
+    /// Gives folders in `staged` the permissions and the owner that they have, and those of others their times, as far as that is
+    /// allowed.
     fn folders_as_they_were(&self, staged: &Path) {
-        for name in self.folders_of_others() {
-            let _ = as_it_was(&self.place.join(&name), &staged.join(&name), !name.as_os_str().is_empty());
+        for (name, is_of_others) in self.folders() {
+            let _ = as_it_was(&self.place.join(&name), &staged.join(&name), is_of_others);
         }
     }
 
@@ -187,7 +195,7 @@ impl ResultFolder {
     fn emptied(&self, old: &Path, linked: &BTreeSet<PathBuf>) -> io::Result<()> {
         // What is removed in a moment need not stay without permission to write.
         #[cfg(unix)]
-        for name in self.folders_of_others() {
+        for (name, _) in self.folders() {
             use std::os::unix::fs::PermissionsExt;
             let _ = fs::set_permissions(old.join(name), fs::Permissions::from_mode(0o700));
         }

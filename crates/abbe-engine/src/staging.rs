@@ -95,17 +95,19 @@ pub(crate) fn unwritable(out: &Path, error: &io::Error) -> Error {
 }
 
 /// Folders that were made on the way to one; those that are empty are removed again unless they are kept.
-struct MadeFolders(Vec<PathBuf>);
+pub struct MadeFolders(Vec<PathBuf>);
 
 impl MadeFolders {
-    fn new(folder: &Path) -> io::Result<Self> {
+    /// Makes a folder, and those around it that are missing.
+    pub fn new(folder: &Path) -> io::Result<Self> {
         let missing = folder.ancestors().take_while(|path| !path.as_os_str().is_empty() && !path.exists());
         let made = Self(missing.map(Path::to_path_buf).collect());
         fs::create_dir_all(folder)?;
         Ok(made)
     }
 
-    fn keep(&mut self) {
+    /// They stay.
+    pub fn keep(&mut self) {
         self.0.clear();
     }
 }

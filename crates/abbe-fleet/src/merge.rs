@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use abbe_core::{Calibration, Decision, Error, Monitor, Result, Verdict};
+use abbe_engine::MadeFolders;
 use abbe_history::{Entry, Stored};
 use serde_json::{Value, json};
 
@@ -61,7 +62,7 @@ pub fn merge(
     }
     let _alone = alone(manifest, monitor)?;
     let (mut last, mut shards, mut families) = (None, Vec::new(), Vec::new());
-    fs::create_dir_all(out).map_err(|error| unwritable(out, &error).help("name a folder: `--out`"))?;
+    let mut folder = MadeFolders::new(out).map_err(|error| unwritable(out, &error).help("name a folder: `--out`"))?;
     for family in &manifest.head.families {
         families.push(family.trials_of.as_deref());
     }
@@ -95,6 +96,7 @@ pub fn merge(
     }
     tables.finish(&mut own)?;
     own.finish()?;
+    folder.keep();
     Ok(merged)
 }
 

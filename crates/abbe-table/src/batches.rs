@@ -11,7 +11,7 @@ use abbe_files::Packing;
 
 use crate::layout::{Encoding, Layout};
 use crate::parse::{Head, cells, dataset};
-use crate::text::{BYTE_ORDER_MARK, LONGEST_LINE, text, text_of_part};
+use crate::text::{BYTE_ORDER_MARK, LONGEST_LINE, NO_LINE_END, text, text_of_part};
 use crate::unpacking::{Part, Unpacking};
 use crate::{bytes_of, unreadable};
 
@@ -140,7 +140,7 @@ impl<R: Read> Lines<'_, R> {
             );
         }
         if count == most {
-            return wrong("no line ends within 16 MiB: it is no table with one row a line", "name another file");
+            return wrong(NO_LINE_END, "name another file");
         }
         Ok(count > 0)
     }

@@ -7,13 +7,13 @@ mod faults;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use abbe_core::{ColumnHeader, Quantity, Result};
+use abbe_core::{ColumnHeader, Error, Quantity, Result};
 
 use self::faults::{TIME, is_time, jumps, summaries, twins};
 use crate::layout::{Decimal, Encoding, Layout, Separator, Thousands};
 use crate::number::{is_number, plain};
 use crate::parse::{LONGEST_CELL, Records, ragged};
-use crate::text::{may_be_utf_16, text};
+use crate::text::{LONGEST_LINE, NO_LINE_END, may_be_utf_16, text};
 
 /// Rows that are looked at to find a layout.
 const LOOKED_AT: usize = 500;
@@ -134,6 +134,9 @@ pub(crate) fn likely_of(path: &Path, bytes: &[u8]) -> Result<Likely> {
         .filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'))
         .take(LOOKED_AT)
         .collect();
+    if let Some((at, _)) = lines.iter().find(|(_, line)| line.len() > LONGEST_LINE) {
+        return Err(Error::data(NO_LINE_END).at(path, at + 1, None).help("name another file"));
+    }
     let separator = separator_of(&lines);
     let rows: Vec<(usize, Vec<String>)> = lines.iter().map(|(at, line)| (*at, cells(line, separator))).collect();
     let width = usual_width(&rows);

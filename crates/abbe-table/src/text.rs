@@ -20,6 +20,9 @@ const OF_UTF_32: [&[u8]; 2] = [b"\xff\xfe\x00", b"\x00\x00\xfe\xff"];
 /// Bytes of the longest line of a header: 16 MiB.
 pub const LONGEST_LINE: usize = 16 << 20;
 
+/// What is wrong with a longer one.
+pub const NO_LINE_END: &str = "no line ends within 16 MiB: it is no table with one row a line";
+
 /// Whether bytes may be text in UTF-16: they begin with its mark, or every second of the first is zero.
 pub fn may_be_utf_16(bytes: &[u8]) -> bool {
     OF_UTF_16.iter().any(|mark| bytes.starts_with(mark))
@@ -189,10 +192,7 @@ pub fn read_line(reader: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<bo
             return Ok(true);
         }
         if line.len() - start > LONGEST_LINE {
-            return Err(io::Error::new(
-                io::ErrorKind::InvalidData,
-                "no line ends within 16 MiB: it is no table with one row a line",
-            ));
+            return Err(io::Error::new(io::ErrorKind::InvalidData, NO_LINE_END));
         }
     }
 }

@@ -9,6 +9,8 @@ use abbe_report::{
     Analysis, FitResult, Run, decided, judged, judged_remarks, main_fit, micrometres, told_figure, undetermined, used,
 };
 
+use crate::lines::cut;
+
 /// Lines of each part: figures with limits, estimates, what is lost, remarks, failures.
 const FIGURES: usize = 3;
 const ESTIMATES: usize = 6;
@@ -58,15 +60,6 @@ fn wrapped(text: &str, width: usize) -> Vec<String> {
         }
     }
     lines
-}
-
-/// A line that fits.
-fn cut(line: &str, width: usize) -> String {
-    let line = line.replace('\n', " ");
-    match line.chars().count() > width {
-        true => line.chars().take(width.saturating_sub(1)).collect::<String>() + "…",
-        false => line,
-    }
 }
 
 fn more(lines: &mut Vec<String>, all: usize, shown: usize) {

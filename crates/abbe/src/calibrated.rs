@@ -143,17 +143,27 @@ fn days(text: &str) -> std::result::Result<f64, String> {
     days.ok_or_else(|| "a number of days above 0 was expected".to_owned())
 }
 
-/// The record of the run in whose folder a file lies.
-fn run_of(file: &Path) -> Option<RunRecord> {
-    let text = read_text(&file.with_file_name("run.json"), LARGEST_RESULT).ok()?;
-    RunRecord::from_json(&text).ok()
-}
-
-/// Refuses a calibration that was changed after its run.
+/// Refuses a calibration that was changed after its run; says so where the record of the run is there and cannot tell.
 fn check_as_written(file: &Path) -> Result<()> {
-    let (Some(run), Some(name)) = (run_of(file), file.file_name()) else { return Ok(()) };
-    let folder = file.parent().unwrap_or(Path::new(""));
-    run.written_text(folder, &name.to_string_lossy()).map(drop)
+    let (record, Some(name)) = (file.with_file_name("run.json"), file.file_name()) else { return Ok(()) };
+    if record.symlink_metadata().is_err() {
+        return Ok(());
+    }
+    let text = read_text(&record, LARGEST_RESULT).map_err(|error| abbe_files::why(&error));
+    match text.and_then(|text| RunRecord::from_json(&text).map_err(|error| error.message)) {
+        Ok(run) => {
+            let folder = file.parent().unwrap_or(Path::new(""));
+            run.written_text(folder, &name.to_string_lossy()).map(drop)
+        }
+        Err(why) => {
+            tracing::warn!(
+                "whether {} is as its run wrote it cannot be told: {} is no record of a run: {why}",
+                file.display(),
+                record.display()
+            );
+            Ok(())
+        }
+    }
 }
 
 /// Refuses a calibration of a run that is too old, or of which the time is not known.

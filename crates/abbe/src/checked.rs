@@ -11,6 +11,9 @@ use crate::{lines, table, uncertainty_summary};
 /// Most lines without `--explain`.
 const LINES: usize = 40;
 
+/// Most characters of the name of a recipe.
+const NAME: usize = 200;
+
 /// What the planned fits can determine, in lines that fit the terminal; in at most [`LINES`] lines unless it is to be explained.
 pub fn text(recipe: &Recipe, planned: &[Planned], explain: bool) -> String {
     within(recipe, planned, explain, lines::width())
@@ -18,7 +21,7 @@ pub fn text(recipe: &Recipe, planned: &[Planned], explain: bool) -> String {
 
 fn within(recipe: &Recipe, planned: &[Planned], explain: bool, width: usize) -> String {
     let stages = lines::counted(recipe.stages.len(), "stage", "stages");
-    let mut text = format!("{}: {stages}\n{}\n", recipe.name, verdict(recipe, planned));
+    let mut text = format!("{}: {stages}\n{}\n", lines::cut(&recipe.name, NAME), verdict(recipe, planned));
     if !planned.is_empty() {
         text.push_str(&section("\nPlanned fits, judged at nominal contact", &fits(planned, width)));
     }

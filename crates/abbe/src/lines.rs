@@ -44,6 +44,15 @@ pub fn wrapped(text: &str, width: usize) -> String {
     text.lines().flat_map(|line| rows(line, width)).fold(String::new(), |text, row| text + &row + "\n")
 }
 
+/// A line that fits.
+pub fn cut(line: &str, width: usize) -> String {
+    let line = line.replace('\n', " ");
+    match line.chars().count() > width {
+        true => line.chars().take(width.saturating_sub(1)).collect::<String>() + "…",
+        false => line,
+    }
+}
+
 /// The count with the word in the number that it asks for.
 pub fn counted(count: usize, one: &str, several: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { several })

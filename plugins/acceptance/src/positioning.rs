@@ -210,8 +210,12 @@ impl Settings {
         if let Some(terms) = terms {
             findings.remarks.push(budget(readings, &terms));
         }
-        let told = faults(readings.axis, &readings.targets);
-        findings.remarks.extend(told.iter().map(|fault| format!("{}: {}", readings.name, words(fault, readings.axis))));
+        let told = |fault: &Fault| format!("{}: {}", readings.name, words(fault, readings.axis));
+        let (absent, others): (Vec<Fault>, Vec<Fault>) =
+            faults(readings.axis, &readings.targets).into_iter().partition(leaves_figures_out);
+        // Why there are no figures stands first: a summary has room for a few remarks.
+        findings.remarks.splice(0..0, absent.iter().map(told));
+        findings.remarks.extend(others.iter().map(told));
         findings.tables.insert(format!("positioning-{}.csv", readings.name), table(&found, readings));
     }
 
@@ -283,6 +287,11 @@ fn budget(readings: &Readings, terms: &Terms) -> String {
     ];
     let told = all.iter().filter(|(_, u)| *u > 0.0).map(|(what, u)| format!("{what} {u:.3}")).collect::<Vec<_>>();
     format!("{}: standard uncertainties, {}: {}", readings.name, readings.unit, told.join(", "))
+}
+
+/// Whether some figures are absent because of it.
+fn leaves_figures_out(fault: &Fault) -> bool {
+    matches!(fault, Fault::MissingRuns(_) | Fault::TooFewRuns { .. } | Fault::OneDirection)
 }
 
 /// A sentence on what a plan lacks.
