@@ -221,6 +221,33 @@ fn points_of_qif_results_that_are_scaled_or_mirrored_are_refused() {
     }
 }
 
+/// A point that one run found elsewhere than the other, and rows that are there twice.
+#[test]
+fn points_of_qif_results_that_runs_do_not_share_are_told() {
+    let recipe = Variant::of(&recipes()["qif-results"]).only(&["fit", "holes"]);
+    let exported = |edit: &dyn Fn(&[String], &mut Vec<Vec<String>>)| {
+        let (folder, mut recipe) = (temporary(), recipe.clone());
+        let file = with_rows(&recipe.path("holes", "path"), folder.path(), edit);
+        recipe.stage("holes")["path"] = json!(file);
+        run(&recipe)
+    };
+    let (elsewhere, twice) = ("is its position right?", "is the row there twice?");
+    for (rows, by) in [(vec![3], 45.0), (vec![0], 0.05), (vec![1, 2, 4, 6], 45.0)] {
+        let (printed, said) = exported(&|header, all| {
+            for row in &rows {
+                let cell = &mut all[*row][place(header, "X_mm")];
+                *cell = format!("{:.7}", cell.parse::<f64>().expect("a number") + by);
+            }
+        });
+        assert_eq!(printed.status, 0, "{said}");
+        assert!(said.matches(elsewhere).count() == rows.len() && !said.contains(twice), "{rows:?}: {said}");
+    }
+    let (_, said) = exported(&|_, all| all.extend(all[all.len() - 3..].to_vec()));
+    assert!(said.matches(twice).count() == 3 && !said.contains(elsewhere), "{said}");
+    let (_, said) = exported(&|_, _| {});
+    assert!(!said.contains(twice) && !said.contains(elsewhere), "{said}");
+}
+
 /// Readings in another unit explain errors that no machine has: the hint says which readings.
 #[test]
 fn readings_in_another_unit_are_named_where_errors_are_implausible() {

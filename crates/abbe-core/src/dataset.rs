@@ -279,7 +279,11 @@ pub(crate) fn missing_column(file: Option<&PathBuf>, name: &str, headers: &[Colu
     {
         error = error.help(format!("the cells seem to be separated by {other:?}; commas were expected"));
     } else if let Some(other) = headers.iter().find(|header| has_unit_of_its_own(&header.header, base)) {
-        error = error.help(format!("is it `{}`? Names end in the unit: `X_mm`, `B_deg`", other.header));
+        error = error.help(format!(
+            "is it `{0}`? Names end in the unit: `X_mm`, `B_deg`. Where `ingest: csv` reads the file, `columns: {{ {base}_mm: {{ \
+             column: {0}, unit: in }} }}` names it and says its unit",
+            other.header
+        ));
     } else if let Some(near) = near {
         error = error.help(format!("did you mean `{}`?", near.header));
     }

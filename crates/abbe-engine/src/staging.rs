@@ -59,6 +59,7 @@ impl Staging {
 
 /// Fails early if nothing can be written below `parent`, without making it. The error names `out`, as the user does.
 pub(crate) fn can_write(parent: &Path, out: &Path) -> Result<()> {
+    refuse_temporary_place(out)?;
     let there = parent.ancestors().find(|folder| folder.symlink_metadata().is_ok() || folder.as_os_str().is_empty());
     let there = there.filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // A name that is too long for the disk is told before the work, and not when the results are there.
@@ -195,15 +196,22 @@ pub(crate) fn refuse_temporary(file: &Path) -> Result<()> {
     // What a command of this program has at work has a lock.
     let found = absolute.ancestors().find(is_left).and_then(name_of);
     match found.or(results.filter(|name| is_temporary(name) && name_of(&absolute).as_ref() != Some(name))) {
-        Some(name) => {
-            let message = format!(
-                "{}: `{name}` is a name of temporary folders of this program, which are removed",
-                file.display()
-            );
-            Err(Error::usage(message).help("give it another name"))
-        }
+        Some(name) => Err(would_be_removed(file, &name)),
         None => Ok(()),
     }
+}
+
+/// Refuses a place for results that has such a name, or lies in something that has: a later command would remove it.
+pub fn refuse_temporary_place(place: &Path) -> Result<()> {
+    let absolute = std::path::absolute(place).unwrap_or_else(|_| place.to_path_buf());
+    let mut names = absolute.components().map(|part| part.as_os_str().to_string_lossy().into_owned());
+    names.find(|name| is_temporary(name)).map_or(Ok(()), |name| Err(would_be_removed(place, &name)))
+}
+
+fn would_be_removed(path: &Path, name: &str) -> Error {
+    let message =
+        format!("{}: `{name}` is a name of temporary folders of this program, which are removed", path.display());
+    Error::usage(message).help("give it another name")
 }
 
 /// Removes the temporary folders and files whose owner is dead.

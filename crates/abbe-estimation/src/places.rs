@@ -57,7 +57,10 @@ fn exchanged_pairs(places: &[Vector3<f64>], touches: &[(usize, Vector3<f64>)]) -
         };
         let (all, elsewhere) = counts.entry(*feature).or_default();
         *all += 1;
-        if let Some((other, _)) = places.iter().enumerate().find(is_at) {
+        // Several may be near: features stand in groups.
+        let distance = |(_, place): &(usize, &Vector3<f64>)| (tip - *place).norm();
+        let there = places.iter().enumerate().filter(is_at);
+        if let Some((other, _)) = there.min_by(|one, other| distance(one).total_cmp(&distance(other))) {
             *elsewhere.entry(other).or_default() += 1;
         }
     }
@@ -117,6 +120,15 @@ mod tests {
             let (places, touches) = touched(&mut Generator::new(seed, 3));
             assert_eq!(exchanged_pairs(&places, &touches), Vec::<[usize; 2]>::new(), "{seed}");
         }
+    }
+
+    #[test]
+    fn of_several_places_near_a_touch_the_nearest_is_meant() {
+        let place = |x: f64, y: f64| Vector3::new(x, y, 200.0);
+        let places = [place(100.0, -120.0), place(100.0, 160.0), place(130.0, -150.0), place(-90.0, 20.0)];
+        // The second and the third exchanged; the first is near the third.
+        let touches: Vec<Touch> = [(0, 0), (1, 2), (2, 1), (3, 3)].map(|(of, at)| (of, places[at])).to_vec();
+        assert_eq!(exchanged_pairs(&places, &touches), [[1, 2]]);
     }
 
     #[test]

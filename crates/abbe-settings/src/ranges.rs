@@ -319,12 +319,16 @@ fn unit(path: &[PathItem]) -> Option<&str> {
     })
 }
 
+/// A number as it is shown, without hundreds of zeros.
+pub(crate) fn shown(number: f64) -> String {
+    match number != 0.0 && number.is_finite() && !(1e-6..1e12).contains(&number.abs()) {
+        true => format!("{number:e}"),
+        false => format!("{number}"),
+    }
+}
+
 fn refused(number: f64, schema: &Map<String, Value>, path: &[PathItem]) -> SettingsError {
-    let number = if number != 0.0 && !(1e-6..1e12).contains(&number.abs()) {
-        format!("{number:e}")
-    } else {
-        format!("{number}")
-    };
+    let number = shown(number);
     let what = if types(schema).any(|kind| kind == "integer") { "a whole number" } else { "a number" };
     let range = range(schema).unwrap_or_default();
     let comma = if range.contains(',') { "," } else { "" };

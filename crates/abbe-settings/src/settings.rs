@@ -202,7 +202,7 @@ fn known_schema_of<T: JsonSchema + 'static>() -> Arc<Value> {
 pub fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
     match value > 0.0 && value.is_finite() {
         true => Ok(value),
-        false => Err(SettingsError::new(name, format!("{value}: a positive number was expected"))
+        false => Err(SettingsError::new(name, format!("{}: a positive number was expected", ranges::shown(value)))
             .help("write a finite number above 0")),
     }
 }
@@ -211,8 +211,11 @@ pub fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
 pub fn not_negative(name: &str, value: f64) -> Result<f64, SettingsError> {
     match value >= 0.0 && value.is_finite() {
         true => Ok(value),
-        false => Err(SettingsError::new(name, format!("{value}: a number that is not negative was expected"))
-            .help("write 0 or a finite number above it")),
+        false => Err(SettingsError::new(
+            name,
+            format!("{}: a number that is not negative was expected", ranges::shown(value)),
+        )
+        .help("write 0 or a finite number above it")),
     }
 }
 

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use abbe_core::{Error, Result};
-use abbe_engine::temporary_file;
+use abbe_engine::{refuse_temporary_place, temporary_file};
 use abbe_files::is_same;
 
 /// What was found, and what is to be written.
@@ -41,8 +41,9 @@ impl Written {
     }
 }
 
-/// Fails if there is something of this name.
+/// Fails if there is something of this name, and for a name of temporary folders.
 pub fn is_free(path: &Path) -> Result<()> {
+    refuse_temporary_place(path)?;
     match path.symlink_metadata() {
         Ok(_) => {
             let message = format!("{} is there already; it is not replaced", path.display());

@@ -93,6 +93,9 @@ impl Export for QifResults {
 /// How near to the nominal place of another point one is that is this one, over the spread of all.
 const NEAR: f64 = 3.0;
 
+/// Fewest points that two runs share, of which one that is elsewhere is told.
+const FEWEST: usize = 5;
+
 /// Most points that are looked for among the others.
 const TRIED: usize = 100;
 
@@ -141,6 +144,11 @@ impl<'a> Document<'a> {
                 let error = table.error_at(row, format!("point `{label}` is measured twice"));
                 return Err(error.help("write a column `run`, which says which measurement a row is"));
             }
+            if document.runs[run].iter().any(|(other, earlier)| *other == point && earlier.indicated == tip.indicated) {
+                let words =
+                    format!("point `{label}` repeats an earlier row to the last digit: is the row there twice?");
+                tracing::warn!("{}", table.error_at(row, words));
+            }
             document.runs[run].push((point, tip));
             rows.push((row, point, tip));
         }
@@ -169,8 +177,22 @@ impl<'a> Document<'a> {
                 refuse(&named, &other, pairs.clone()).map_err(|error| error.at(table, row))?;
             }
             let differences = pairs.map(|(one, two)| [0, 1, 2].map(|axis| two[axis] - one[axis]));
-            if let Some(words) = shifted(&differences.collect::<Vec<_>>()) {
+            let differences: Vec<[f64; 3]> = differences.collect();
+            if let Some(words) = shifted(&differences) {
                 tracing::warn!("the points{named} lie {words} beside {other}: was the part moved, or a work offset?");
+            }
+            let (shift, spread) = shift_and_spread(&differences);
+            let off = |by: &[f64; 3]| length([0, 1, 2].map(|axis| by[axis] - shift[axis]));
+            let alone = run.iter().filter(|(point, _)| places.contains_key(point)).zip(&differences);
+            for ((point, _), by) in alone
+                .filter(|(_, by)| off(by) > (FAR * spread).max(LEAST_SPREAD))
+                .filter(|_| differences.len() >= FEWEST)
+            {
+                let (label, size) = (self.points[*point].0, off(by));
+                tracing::warn!(
+                    "point `{label}`{named} lies {size:.3} mm from where it is in {other}, and half of all within {spread:.4} mm: is \
+                     its position right?"
+                );
             }
         }
         Ok(())

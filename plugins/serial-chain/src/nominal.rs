@@ -13,6 +13,24 @@ use crate::settings::{self, Settings};
 /// No axis goes farther, mm and degrees.
 pub(crate) const FARTHEST: f64 = 1e6;
 
+/// Longest tool that nobody asks about, mm, and in longest travels of linear axes.
+const LONG_MM: f64 = 500.0;
+const LONG: f64 = 3.0;
+
+/// The sentence on a tool that is far longer than the machine moves: its unit or a digit is wrong. Where lengths alone are measured no
+/// residual tells it, and errors far from the axes are wrong.
+pub(crate) fn long_tool(settings: &Settings) -> Option<String> {
+    let travels = settings.axes.values().filter_map(|axis| axis.range_mm).map(|[from, to]| to - from);
+    let longest = travels.reduce(f64::max)?;
+    let length = settings.tool_length_mm;
+    (length.abs() > LONG_MM.max(LONG * longest)).then(|| {
+        format!(
+            "`tool_length_mm` is {length}, {:.0} times the longest travel of a linear axis ({longest} mm): is it in millimetres?",
+            length.abs() / longest
+        )
+    })
+}
+
 /// Nominal geometry of one axis.
 pub(crate) fn chain_axis(named: &NamedAxis, settings: &Settings) -> Result<ChainAxis, SettingsError> {
     let given = settings.axes.get(&named.name).cloned().unwrap_or_default();

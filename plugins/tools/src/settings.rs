@@ -213,10 +213,13 @@ const LARGEST_LIMIT: f64 = 1e4;
 /// Largest repeatability of a tool setter, µm.
 const LARGEST_REPEATABILITY: f64 = 1e3;
 
+/// Smallest limit or repeatability that can be meant.
+const SMALLEST: f64 = 1e-6;
+
 /// A positive number up to `most`.
 fn up_to(name: &str, value: f64, most: f64) -> Result<f64, SettingsError> {
-    match positive(name, value)? <= most {
+    match (SMALLEST..=most).contains(&positive(name, value)?) {
         true => Ok(value),
-        false => Err(SettingsError::new(name, format!("{value:e}: a number up to {most} was expected"))),
+        false => Err(SettingsError::new(name, format!("{value:e}: a number from {SMALLEST:e} to {most} was expected"))),
     }
 }

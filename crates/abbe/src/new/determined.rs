@@ -92,8 +92,11 @@ pub fn begin(
         let message = format!("a machine with {linear} linear axes cannot bring its tool to all places of an artefact");
         return Err(Error::usage(message).help("`--method poses` takes poses of a target: see docs/robots.md"));
     }
-    let folder =
-        TemporaryFolder::new().map_err(|error| Error::data(format!("there is no temporary folder: {error}")))?;
+    let none = |error: std::io::Error| {
+        let message = format!("no temporary folder can be made: {}", abbe_files::why(&error));
+        Error::data(message).help("TMPDIR says where such folders are made")
+    };
+    let folder = TemporaryFolder::new().map_err(none)?;
     let at = folder.path().to_owned();
     let trial = Trial { folder, registry, monitor, files: BTreeMap::new() };
     begun(trial, chain, method, controller).map_err(|error| of_user(error, &at, chain))
