@@ -273,13 +273,13 @@ fn absurd_settings_are_refused() {
             .clone()
     };
     for (path, value, expected) in [
-        (vec!["limits", "breakage_um"], json!(5e5), "up to 10000"),
-        (vec!["limits", "chip_um"], json!(25000), "up to 10000"),
-        (vec!["limits", "match_um"], json!(1e6), "up to 10000"),
-        (vec!["master_limit_um"], json!(1e6), "up to 1000"),
-        (vec!["temperature_limit_K"], json!(1e3), "up to 100"),
+        (vec!["limits", "breakage_um"], json!(5e5), " to 10000 was"),
+        (vec!["limits", "chip_um"], json!(25000), " to 10000 was"),
+        (vec!["limits", "match_um"], json!(1e6), " to 10000 was"),
+        (vec!["master_limit_um"], json!(1e6), " to 1000 was"),
+        (vec!["temperature_limit_K"], json!(1e3), " to 100 was"),
         (vec!["coverage_factor"], json!(1e-300), "from 1 to 10"),
-        (vec!["master", "standard_uncertainty_um"], json!(1e300), "from 0 to 1e6"),
+        (vec!["master", "standard_uncertainty_um"], json!(1e300), "from 1e-6 to 1e6"),
     ] {
         let mut recipe = tools();
         let mut at = recipe.stage(&stage);
