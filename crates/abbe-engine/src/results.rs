@@ -3,7 +3,7 @@
 //! Ours is what an earlier run has written there and has listed in its `run.json`, as long as it still has the content that it had.
 //! All else stays: notes, changed results, data that somebody keeps there, and every file that the run reads.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
