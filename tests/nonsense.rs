@@ -252,7 +252,7 @@ fn rows_that_are_there_twice_in_means_are_told() {
     }
     recipe.stage("centres-once")["path"] = json!(folder.path().join("sphere-*.csv"));
     let file = recipe.write(folder.path());
-    let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+    let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
     assert!(printed.stderr.contains("1 row is in the data twice"), "{}", printed.stderr);
     assert!(printed.stderr.contains("sphere-8.csv`); each counts in the means"), "{}", printed.stderr);
 }
@@ -267,7 +267,7 @@ fn rows_that_are_there_twice_for_a_validator_are_told() {
     fs::write(folder.path().join("again.csv"), format!("{text}{last}\n")).expect("a file");
     recipe.stage("strategy-2")["path"] = json!(folder.path().join("again.csv"));
     let file = recipe.write(folder.path());
-    let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+    let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
     let said = printed.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
     assert_eq!(said.matches("strategy-2: 1 row is in the data twice").count(), 1, "{said}");
 }
@@ -346,7 +346,7 @@ fn a_run_in_another_unit_is_no_error_of_the_machine() {
     fs::write(folder.path().join("inches.csv"), rows.collect::<String>()).expect("a file");
     recipe.stage("today")["path"] = json!(folder.path().join("inches.csv"));
     let file = recipe.write(folder.path());
-    let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+    let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
     let said = printed.stdout.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(said.contains("which no error of a machine makes: look for another unit"), "{said}");
 }
@@ -388,7 +388,7 @@ fn copies_of_files_and_of_numbered_rows_are_told() {
     copies.iter().for_each(|copy| fs::write(copy, &text).expect("a file"));
     recipe.stage("touches")["path"] = json!(copies);
     let file = recipe.write(folder.path());
-    let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+    let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
     assert!(printed.stderr.contains("touches (1).csv have the same content"), "{}", printed.stderr);
 
     // A running number makes no row another one.
@@ -426,7 +426,7 @@ fn many_outliers_are_told() {
     for (outlier_at, is_told) in [(0.05, true), (5.0, false)] {
         recipe.stage("fit")["robust"] = json!({ "loss": "tukey", "outlier_at": outlier_at });
         let file = recipe.write(folder.path());
-        let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+        let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
         assert_eq!(printed.stdout.contains("rows are outliers: "), is_told, "{}", printed.stdout);
     }
 }
@@ -457,7 +457,7 @@ fn a_feature_that_is_elsewhere_is_told() {
         fs::write(folder.path().join("facets.csv"), text).expect("a file");
         recipe.stage("table")["nominal"] = json!(folder.path().join("facets.csv"));
         let file = recipe.write(folder.path());
-        let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+        let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
         let said = printed.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
         assert!(said.contains("`table.facet[3].d` is off by"), "{said}");
     }
@@ -479,7 +479,7 @@ fn nothing_is_exported_beyond_the_travel() {
     for (stage, refused) in cases {
         recipe.0["stages"]["cnc"] = stage;
         let file = recipe.write(folder.path());
-        let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+        let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
         assert_eq!(printed.stderr.contains("is beyond its travel of -400 to 400 mm"), refused, "{}", printed.stderr);
     }
 }
@@ -493,7 +493,7 @@ fn residuals_of_one_quantity_that_are_too_good_are_told() {
     fs::write(folder.path().join("poses.csv"), text).expect("a file");
     recipe.stage("seen")["path"] = json!(folder.path().join("poses.csv"));
     let file = recipe.write(folder.path());
-    let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+    let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
     assert!(printed.stdout.contains("is the unit of the lengths right?"), "{}{}", printed.stdout, printed.stderr);
 }
 
@@ -503,7 +503,7 @@ fn told_with_uncertainty(uncertainty: f64) -> String {
     let mut recipe = Variant::of(&recipes()["first-steps"]);
     recipe.stage("table")["standard_uncertainty_um"] = json!(uncertainty);
     let file = recipe.write(folder.path());
-    crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]).stdout
+    abbe(folder.path(), &["run".as_ref(), file.as_os_str()]).stdout
 }
 
 #[test]
@@ -521,7 +521,7 @@ fn what_robust_weights_leave_out_is_named() {
     let mut recipe = Variant::tango("realistic").only(&["fit-S3"]);
     recipe.stage("table")["standard_uncertainty_um"] = json!(0.16);
     let file = recipe.write(folder.path());
-    let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+    let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
     let said = printed.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(said.contains("robust weights leave out") && said.contains("without `robust` the run says more"), "{said}");
 }
@@ -664,7 +664,7 @@ fn absurd_statements_do_not_pass() {
             recipe.0["stages"].as_object_mut().expect("stages").remove(stage);
         }
         let file = recipe.write(folder.path());
-        let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+        let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
         assert_eq!(printed.status == 0, passes, "{name} = {value} {unit}: {}", printed.stderr);
         let told = if value > 1e9 { "a number from -1e9 to 1e9" } else { "no machine has such errors" };
         assert_eq!(printed.stderr.contains(told), !passes, "{}", printed.stderr);
@@ -721,7 +721,7 @@ fn certificates_that_contradict_each_other_are_told() {
     // Nominal places of balls are right to some hundredths.
     with(&mut recipe, json!({ "between": [1, 25], "length_mm": 150, "standard_uncertainty_um": 0.1 }));
     let file = recipe.write(folder.path());
-    let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+    let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
     let said = format!("{}{}", printed.stdout, printed.stderr);
     assert!(printed.status != 0 || said.contains("certificates contradict each other"), "{said}");
 }
@@ -745,7 +745,7 @@ fn one_of_few_features_that_is_elsewhere_is_told() {
             .expect("a file");
         recipe.stage(&name)[key] = json!(folder.path().join("balls.csv"));
         let file = recipe.write(folder.path());
-        let printed = crate::support::abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
+        let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
         assert_eq!(printed.stderr.contains("`bar.ball[1].x` is off by"), is_told, "{}", printed.stderr);
     }
 }
