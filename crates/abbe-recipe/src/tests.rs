@@ -252,7 +252,8 @@ fn wrong_recipes_are_refused_with_place_and_help() {
         (
             "file: machine.yaml",
             "file: cut.yaml",
-            "cut.yaml:2: stage `hu40t`: the machine file ends here within a line, and has no `axes`: it looks cut off",
+            "cut.yaml:2: stage `hu40t`: the machine file ends here within a line, and has no `axes`: it looks cut off (take the whole \
+             file; if this is all of it, end its last line)",
         ),
         ("file: machine.yaml", "file: list.yaml", "list.yaml:1:1: stage `hu40t`: a map was expected, not a list"),
         ("file: machine.yaml", "file: 3", "r.yaml:15:11: stage `hu40t`: file: text was expected, not a number"),
