@@ -335,6 +335,28 @@ fn what_is_no_test_is_told_or_decides_nothing() {
     let short = told("rotary-interpolation", "read-c", &|rows, _| rows.truncate(3));
     let of_c: Vec<&Figure> = figures(&short, "c-axis").iter().filter(|figure| figure.limit.is_some()).collect();
     assert!(!of_c.is_empty() && of_c.iter().all(|figure| figure.inconclusive.is_some()), "{of_c:?}");
+    // Nor do two targets, ten lengths of 35 and four points of a sphere, which have no form error.
+    let two_targets = |rows: &mut Cells, position: usize| {
+        let smallest = |row: &Vec<String>| row[position].parse::<f64>().expect("a number") < 40.0;
+        rows.retain(smallest);
+    };
+    let of_axis = told("positioning", "rotary", &move |rows, place| two_targets(rows, place("position_deg")));
+    let of_lengths = told("cmm", "lengths-beside", &|rows, _| rows.truncate(3));
+    let of_sphere = told("cmm", "sphere", &|rows, _| {
+        let mut number = 0;
+        rows.retain(|_| {
+            number += 1;
+            number % 25 < 4
+        });
+    });
+    for (found, run) in [(&of_axis, "[rotary]"), (&of_lengths, "[lengths-beside]"), (&of_sphere, "[sphere]")] {
+        let all = found.verdicts.iter().flat_map(|verdict| &verdict.figures);
+        let kept: Vec<&Figure> = all
+            .filter(|figure| figure.name.ends_with(run) && figure.limit.is_some())
+            .filter(|figure| figure.inconclusive.is_none() && figure.decide() == Some(Decision::Pass))
+            .collect();
+        assert!(kept.is_empty(), "{run}: {kept:?}");
+    }
     let mut one = recipe("diagonals");
     one.stage("diagonals")["from"] = json!(["ppp"]);
     let found = one.run();

@@ -13,7 +13,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Acceptance, Judge, copied_repeats, doubted, figure, finite, run_name, undecided};
+use crate::common::{Acceptance, Judge, copied_repeats, doubted, figure, finite, lacks_most, run_name, undecided};
 
 abbe_core::register!(
     Validate,
@@ -242,8 +242,8 @@ impl Lengths {
             }
         }
         self.repeatability(&run, &sets, findings);
-        undecided(&mut findings.figures[first..], &copied);
-        self.plan(&run, &sets, findings);
+        let why: Vec<String> = copied.into_iter().chain(self.plan(&run, &sets, findings)).collect();
+        undecided(&mut findings.figures[first..], &why);
         Ok(())
     }
 
@@ -284,20 +284,21 @@ impl Lengths {
         }
     }
 
-    /// What the programme lacks.
-    fn plan(&self, run: &str, sets: &[Set], findings: &mut Findings) {
+    /// Tells what the programme lacks; gives it where that is most of it.
+    fn plan(&self, run: &str, sets: &[Set], findings: &mut Findings) -> Option<String> {
         let other = sets.iter().filter(|set| set.places.len() != VALUES).count();
         if other > 0 {
             let text = format!("{run}: {other} lengths have not {VALUES} values: they have no R_0");
             findings.remarks.push(text);
         }
         let lines = if self.stylus_beside_mm == 0.0 { LINES } else { LINES_BESIDE };
-        if sets.len() != lines * LENGTHS {
-            let (count, beside) = (sets.len(), self.stylus_beside_mm);
-            findings
-                .remarks
-                .push(format!("{run}: {count} lengths; the test of E_{beside} has {LENGTHS} on each of {lines} lines"));
+        let (count, beside) = (sets.len(), self.stylus_beside_mm);
+        if count == lines * LENGTHS {
+            return None;
         }
+        let text = format!("{count} lengths; the test of E_{beside} has {LENGTHS} on each of {lines} lines");
+        findings.remarks.push(format!("{run}: {text}"));
+        Some(text).filter(|_| lacks_most(count, lines * LENGTHS))
     }
 }
 

@@ -10,7 +10,8 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::common::{
-    Acceptance, Judge, Key, Limits, Sheet, check_limits, copied_points, doubted, finite, names, run_name, undecided,
+    Acceptance, Judge, Key, Limits, Sheet, check_limits, copied_points, doubted, finite, lacks_most, names, run_name,
+    undecided,
 };
 
 abbe_core::register!(
@@ -92,9 +93,12 @@ impl Probing {
             findings.remarks.extend(copied.iter().map(|copied| format!("{run}: {copied}")));
         }
         findings.remarks.extend(doubted);
+        // Fewer points have less form: a sphere through four has none.
+        let mut why = copied;
         for (label, points) in all.iter().filter(|(_, points)| points.len() != POINTS) {
-            let text = format!("{run}: stylus {label} has {} points; the test has {POINTS}", points.len());
-            findings.remarks.push(text);
+            let text = format!("stylus {label} has {} points; the test has {POINTS}", points.len());
+            findings.remarks.push(format!("{run}: {text}"));
+            why.extend(Some(text).filter(|_| lacks_most(points.len(), POINTS)));
         }
         let broken = |error| Error::data(format!("{run}: {error}")).setting("from");
         let mut sheet = Sheet::new(&run, &self.limits);
@@ -122,7 +126,7 @@ impl Probing {
             findings.remarks.push(format!("{run}: there are no two other styli: P_FTM, P_STM and P_LTM are absent"));
         }
         let mut figures = sheet.finish(&KEYS);
-        undecided(&mut figures, &copied);
+        undecided(&mut figures, &why);
         findings.figures.extend(figures);
         Ok(())
     }

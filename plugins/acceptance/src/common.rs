@@ -287,6 +287,11 @@ pub fn copied_points(what: &str, all: &[(&str, Vec<[f64; 3]>)]) -> Vec<String> {
     all.iter().enumerate().filter_map(copied).collect()
 }
 
+/// Whether a test has less than half of what its plan asks for: it decides on no limit that it would keep.
+pub fn lacks_most(found: usize, planned: usize) -> bool {
+    2 * found < planned
+}
+
 /// Takes the decision from figures that have a limit: readings that nobody should believe keep no limit. What exceeds it fails all the same.
 pub fn undecided(figures: &mut [Figure], why: &[String]) {
     let Some(why) = why.first() else { return };

@@ -12,7 +12,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Acceptance, Judge, Limits, check_limits, doubted, figure, quieter_than, undecided};
+use crate::common::{Acceptance, Judge, Limits, check_limits, doubted, figure, lacks_most, quieter_than, undecided};
 use crate::targets::Readings;
 
 abbe_core::register!(
@@ -185,8 +185,9 @@ impl Acceptance for Settings {
             findings.remarks.extend(faults.iter().map(|fault| format!("{}: {fault}", readings.name)));
             findings.remarks.extend(self.uncertainty.and_then(|stated| stated.quiet(&readings)));
             let first = findings.figures.len();
-            self.judge(&readings, &mut findings);
-            undecided(&mut findings.figures[first..], &faults);
+            let lacking = self.judge(&readings, &mut findings);
+            let why: Vec<String> = faults.into_iter().chain(lacking).collect();
+            undecided(&mut findings.figures[first..], &why);
         }
         self.absent(&mut findings.figures);
         Ok(findings)
@@ -194,7 +195,8 @@ impl Acceptance for Settings {
 }
 
 impl Settings {
-    fn judge(&self, readings: &Readings, findings: &mut Findings) {
+    /// Judges the readings of an axis; gives what the plan lacks where that is most of it.
+    fn judge(&self, readings: &Readings, findings: &mut Findings) -> Option<String> {
         let found = Positioning::of(&readings.targets);
         let terms = self.uncertainty.and_then(|stated| stated.terms(readings));
         let expanded = terms.and_then(|terms| terms.expanded(readings.runs()));
@@ -217,6 +219,7 @@ impl Settings {
         findings.remarks.splice(0..0, absent.iter().map(told));
         findings.remarks.extend(others.iter().map(told));
         findings.tables.insert(format!("positioning-{}.csv", readings.name), table(&found, readings));
+        absent.iter().find(|fault| lacks_targets(fault)).map(|fault| words(fault, readings.axis))
     }
 
     /// Adds a figure. What a plan cannot give is absent, not zero; with a limit it is told without a value, which fails.
@@ -289,9 +292,17 @@ fn budget(readings: &Readings, terms: &Terms) -> String {
     format!("{}: standard uncertainties, {}: {}", readings.name, readings.unit, told.join(", "))
 }
 
-/// Whether some figures are absent because of it.
+/// Whether figures are absent because of it, or decide nothing.
 fn leaves_figures_out(fault: &Fault) -> bool {
-    matches!(fault, Fault::MissingRuns(_) | Fault::TooFewRuns { .. } | Fault::OneDirection)
+    matches!(fault, Fault::MissingRuns(_) | Fault::TooFewRuns { .. } | Fault::OneDirection) || lacks_targets(fault)
+}
+
+/// Fewest targets that tell more of a travel than its ends.
+const FEWEST_TARGETS: usize = 3;
+
+/// Whether most of the targets are missing.
+fn lacks_targets(fault: &Fault) -> bool {
+    matches!(fault, Fault::TooFewTargets { found, needed } if *found < FEWEST_TARGETS || lacks_most(*found, *needed))
 }
 
 /// A sentence on what a plan lacks.
