@@ -225,7 +225,7 @@ fn points_of_qif_results_that_are_scaled_or_mirrored_are_refused() {
 #[test]
 fn points_of_qif_results_that_runs_do_not_share_are_told() {
     let recipe = Variant::of(&recipes()["qif-results"]).only(&["fit", "holes"]);
-    let exported = |edit: &dyn Fn(&[String], &mut Vec<Vec<String>>)| {
+    let exported = |edit: Change<'_>| {
         let (folder, mut recipe) = (temporary(), recipe.clone());
         let file = with_rows(&recipe.path("holes", "path"), folder.path(), edit);
         recipe.stage("holes")["path"] = json!(file);
