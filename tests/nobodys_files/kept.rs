@@ -59,6 +59,19 @@ fn folders_of_results_keep_permissions() {
     fs::set_permissions(&errors, fs::Permissions::from_mode(0o755)).expect("its owner may");
 }
 
+/// A later command would take such results for what a killed one has left.
+#[test]
+fn results_do_not_go_where_temporary_folders_are_removed() {
+    let small = Small::new();
+    for out in [".abbe-partial-abcdefghijkl", "sub/.abbe-partial-0123456789AB/deep"] {
+        let (status, stderr) = run(&small, out);
+        assert!(status == 2 && stderr.contains("a name of temporary folders"), "{status}: {stderr}");
+        assert!(!small.path(out).exists());
+    }
+    assert!(!small.path("sub").exists());
+    assert_eq!(run(&small, ".abbe-partial-mine").0, 0);
+}
+
 /// A new folder takes the place of an empty one, and not its permissions.
 #[test]
 fn an_empty_folder_keeps_its_permissions() {
