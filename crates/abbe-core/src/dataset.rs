@@ -280,8 +280,8 @@ pub(crate) fn missing_column(file: Option<&PathBuf>, name: &str, headers: &[Colu
         error = error.help(format!("the cells seem to be separated by {other:?}; commas were expected"));
     } else if let Some(other) = headers.iter().find(|header| has_unit_of_its_own(&header.header, base)) {
         error = error.help(format!(
-            "is it `{0}`? Names end in the unit: `X_mm`, `B_deg`. Where `ingest: csv` reads the file, `columns: {{ {base}_mm: {{ \
-             column: {0}, unit: in }} }}` names it and says its unit",
+            "is it `{}`? Names end in the unit: `X_mm`, `B_deg`. Where `ingest: csv` reads the file, its setting `columns` \
+             takes other names and units",
             other.header
         ));
     } else if let Some(near) = near {

@@ -140,11 +140,13 @@ impl<'a> Document<'a> {
                 document.runs.push(Vec::new());
                 document.labels.push((runs.map_or("", |runs| runs[row].as_str()), row));
             }
-            if document.runs[run].iter().any(|(other, _)| *other == point) && runs.is_none() {
+            let of_point = document.runs[run].iter().filter(|(other, _)| *other == point);
+            let earlier: Vec<&Measured> = of_point.map(|(_, tip)| *tip).collect();
+            if !earlier.is_empty() && runs.is_none() {
                 let error = table.error_at(row, format!("point `{label}` is measured twice"));
                 return Err(error.help("write a column `run`, which says which measurement a row is"));
             }
-            if document.runs[run].iter().any(|(other, earlier)| *other == point && earlier.indicated == tip.indicated) {
+            if earlier.iter().any(|earlier| earlier.indicated == tip.indicated) {
                 let words =
                     format!("point `{label}` repeats an earlier row to the last digit: is the row there twice?");
                 tracing::warn!("{}", table.error_at(row, words));
@@ -181,13 +183,13 @@ impl<'a> Document<'a> {
             if let Some(words) = shifted(&differences) {
                 tracing::warn!("the points{named} lie {words} beside {other}: was the part moved, or a work offset?");
             }
+            if differences.len() < FEWEST {
+                continue;
+            }
             let (shift, spread) = shift_and_spread(&differences);
             let off = |by: &[f64; 3]| length([0, 1, 2].map(|axis| by[axis] - shift[axis]));
             let alone = run.iter().filter(|(point, _)| places.contains_key(point)).zip(&differences);
-            for ((point, _), by) in alone
-                .filter(|(_, by)| off(by) > (FAR * spread).max(LEAST_SPREAD))
-                .filter(|_| differences.len() >= FEWEST)
-            {
+            for ((point, _), by) in alone.filter(|(_, by)| off(by) > (FAR * spread).max(LEAST_SPREAD)) {
                 let (label, size) = (self.points[*point].0, off(by));
                 tracing::warn!(
                     "point `{label}`{named} lies {size:.3} mm from where it is in {other}, and half of all within {spread:.4} mm: is \
