@@ -124,11 +124,14 @@ fn messages_name_the_row() {
     assert!(error.contains("cannot be read as Arrow IPC"), "{error}");
 }
 
+/// Trials whose samples are written.
+const TRIALS: usize = 100;
+
 /// The recipe with results in Parquet, and where its tables are once it has run.
 pub fn exported(folder: &Path) -> (Variant, abbe_engine::Outcome) {
     let mut recipe = Variant::of(&recipes()["first-steps"]);
     let stages = recipe.0["stages"].as_object_mut().expect("stages");
-    let settings = json!({ "trials": 400, "coverage_probability": 0.5, "keep_samples": true });
+    let settings = json!({ "trials": TRIALS, "coverage_probability": 0.5, "keep_samples": true });
     let mut trials = json!({ "estimate": "monte-carlo", "of": "fit" });
     trials.as_object_mut().expect("a map").extend(settings.as_object().expect("a map").clone());
     stages.insert("trials".to_owned(), trials);
@@ -172,7 +175,7 @@ fn results_have_all_digits() {
 
     let samples = fit_of("trials").calibration.monte_carlo.as_ref().and_then(|found| found.samples.clone());
     let samples = samples.expect("samples");
-    assert_eq!(samples.values.len(), samples.quantities.len() * 400);
+    assert_eq!(samples.values.len(), samples.quantities.len() * TRIALS);
     let data = read("trials.samples.parquet");
     let place = samples.quantities.iter().position(|(name, _)| name == "dxt").expect("dxt");
     let first: Vec<f64> = samples.values.iter().skip(place).step_by(samples.quantities.len()).copied().collect();
@@ -180,8 +183,9 @@ fn results_have_all_digits() {
     // The samples are those whose mean and standard deviation the calibration has.
     let found = fit_of("trials").calibration.monte_carlo.as_ref().expect("trials");
     let found = found.parameters.iter().find(|found| found.name == "dxt").expect("dxt");
-    let mean = first.iter().sum::<f64>() / 400.0;
-    let variance = first.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / 399.0;
+    let count = TRIALS as f64;
+    let mean = first.iter().sum::<f64>() / count;
+    let variance = first.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0);
     assert!((mean - found.mean).abs() < 1e-9 * found.standard_uncertainty, "{mean} {}", found.mean);
     assert!((variance.sqrt() / found.standard_uncertainty - 1.0).abs() < 1e-9);
 

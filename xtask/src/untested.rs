@@ -1,5 +1,6 @@
-//! Libraries whose manifest says that they have no unit tests (`test = false`): to build them once more for tests would take time and
-//! find none. What a manifest says has to stay true.
+//! Libraries whose manifest says that they have no unit tests (`test = false`), or no examples in their documentation
+//! (`doctest = false`): to build them once more for tests, or to read them once more for examples, would take time and find none. What
+//! a manifest says has to stay true.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,8 +9,10 @@ use serde_json::Value;
 
 use crate::Outcome;
 
-/// What makes a unit test.
-const UNIT_TESTS: [&str; 2] = ["#[test]", "#[cfg(test)]"];
+/// What a manifest may say that a library lacks: the key, what would never run, and whether a text has some.
+type Claim = (&'static str, &'static str, fn(&str) -> bool);
+
+const CLAIMS: [Claim; 2] = [("test", "unit tests", has_unit_tests), ("doctest", "examples", has_examples)];
 
 /// Fails if a library has tests that would never run.
 pub fn check(packages: &[Value]) -> Outcome {
@@ -18,14 +21,15 @@ pub fn check(packages: &[Value]) -> Outcome {
         for target in package["targets"].as_array().into_iter().flatten() {
             let is_library = target["kind"].as_array().is_some_and(|kinds| kinds.iter().any(|kind| kind == "lib"));
             let Some(folder) = target["src_path"].as_str().map(Path::new).and_then(Path::parent) else { continue };
-            if !is_library || target["test"] != false {
+            let claimed: Vec<Claim> = CLAIMS.into_iter().filter(|(key, ..)| target[*key] == false).collect();
+            if !is_library || claimed.is_empty() {
                 continue;
             }
             for file in sources(folder)? {
                 let text = fs::read_to_string(&file).map_err(|error| format!("{}: {error}", file.display()))?;
-                if has_unit_tests(&text) {
-                    wrong.push(format!("{} has unit tests, and its Cargo.toml says `test = false`", file.display()));
-                }
+                wrong.extend(claimed.iter().filter(|(.., has)| has(&text)).map(|(key, what, _)| {
+                    format!("{} has {what}, and its Cargo.toml says `{key} = false`", file.display())
+                }));
             }
         }
     }
@@ -33,7 +37,15 @@ pub fn check(packages: &[Value]) -> Outcome {
 }
 
 fn has_unit_tests(text: &str) -> bool {
-    UNIT_TESTS.iter().any(|mark| text.contains(mark))
+    ["#[test]", "#[cfg(test)]"].iter().any(|mark| text.contains(mark))
+}
+
+/// Whether the documentation has a block of code, between fences or indented.
+fn has_examples(text: &str) -> bool {
+    let told = |line| str::strip_prefix(line, "///").or_else(|| str::strip_prefix(line, "//!"));
+    let lines: Vec<&str> = text.lines().filter_map(|line| told(line.trim_start())).collect();
+    let fenced = lines.iter().any(|line| line.trim_start().starts_with("```"));
+    fenced || lines.windows(2).any(|pair| pair[0].trim().is_empty() && pair[1].starts_with("     "))
 }
 
 /// The Rust files of a folder and of those below it.
@@ -58,5 +70,12 @@ mod tests {
     fn unit_tests_are_seen() {
         assert!(has_unit_tests("#[cfg(test)]\nmod tests;\n"));
         assert!(!has_unit_tests("//! tests are elsewhere\n"));
+    }
+
+    #[test]
+    fn examples_are_seen() {
+        assert!(has_examples("/// Adds.\n///\n/// ```\n/// add(1, 2);\n/// ```\nfn add() {}\n"));
+        assert!(has_examples("    //! Adds:\n    //!\n    //!     add(1, 2);\n"));
+        assert!(!has_examples("/// A list:\n/// - of one,\n///   which is long\nfn list() {}\n// ```\n"));
     }
 }

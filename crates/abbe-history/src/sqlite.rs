@@ -100,9 +100,11 @@ impl File {
     /// The version of its tables. Fails for what is no history of this program.
     fn checked(&self) -> Result<i64> {
         let found = || -> rusqlite::Result<(i64, i64, i64)> {
-            let application = self.connection.pragma_query_value(None, "application_id", |row| row.get(0))?;
-            let tables = self.connection.query_row("SELECT count(*) FROM sqlite_master", [], |row| row.get(0))?;
-            Ok((application, version(&self.connection)?, tables))
+            // All of one moment: another program may make the tables just now.
+            let moment = self.connection.unchecked_transaction()?;
+            let application = moment.pragma_query_value(None, "application_id", |row| row.get(0))?;
+            let tables = moment.query_row("SELECT count(*) FROM sqlite_master", [], |row| row.get(0))?;
+            Ok((application, version(&moment)?, tables))
         };
         let (application, version, tables) = found().map_err(|error| self.failed(&error))?;
         // An empty file has no version either.
