@@ -125,7 +125,7 @@ fn messages_name_the_row() {
 }
 
 /// Trials whose samples are written.
-const TRIALS: usize = 100;
+const TRIALS: usize = 200;
 
 /// The recipe with results in Parquet, and where its tables are once it has run.
 pub fn exported(folder: &Path) -> (Variant, abbe_engine::Outcome) {

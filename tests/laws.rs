@@ -6,7 +6,7 @@ use abbe_engine::prepare;
 use serde_json::{Value, json};
 
 use crate::support::{
-    Small, Variant, fit, read, recipes, recipes_without_twins, registry, root, temporary, values, write,
+    Small, Variant, fit, read, recipes, recipes_with_every_plugin, registry, root, temporary, values, write,
 };
 
 const FITS: [&str; 2] = ["fit-S3", "fit-S4r"];
@@ -137,7 +137,7 @@ fn where_the_tool_length_ends_and_the_offset_begins_does_not_matter() {
     }
 }
 
-/// Models, artefacts and estimators of every recipe, on data that a virtual machine makes.
+/// Models, artefacts and estimators that recipes use, on data that a virtual machine makes.
 #[test]
 fn all_that_recipes_use_keeps_the_laws() {
     let registry = registry();
@@ -146,8 +146,7 @@ fn all_that_recipes_use_keeps_the_laws() {
     let folder = temporary();
     let alone = Variant::tango("exact").only(&["fit-S3"]).set("fit-S3", "estimate", json!("sequential"));
     let alone = ("tango-sequential".to_owned(), alone.write(folder.path()));
-    let all = recipes_without_twins().into_iter().filter(|(name, _)| !name.contains("uncertainty"));
-    for (recipe, file) in all.chain([alone]) {
+    for (recipe, file) in recipes_with_every_plugin().into_iter().chain([alone]) {
         let prepared = prepare(&file, &registry).unwrap_or_else(|error| panic!("{error}"));
         let laws = prepared.laws().unwrap_or_else(|error| panic!("{recipe}: {error}"));
         assert!(laws.broken.is_empty(), "{recipe}: {:#?}", laws.broken);

@@ -1,6 +1,6 @@
 //! What the tests share: the program, the recipes of the repository and variants of them, a small recipe of its own.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::fs;
 use std::io::Write as _;
@@ -94,6 +94,41 @@ pub fn recipes_without_twins() -> BTreeMap<String, PathBuf> {
     let all = recipes();
     let is_twin = |name: &str| name.strip_suffix("-exact").is_some_and(|other| all.contains_key(other));
     all.iter().filter(|(name, _)| !is_twin(name)).map(|(name, file)| (name.clone(), file.clone())).collect()
+}
+
+/// Few of them, those with little data first, in which every plugin occurs that occurs in any.
+pub fn recipes_with_every_plugin() -> BTreeMap<String, PathBuf> {
+    const KINDS: [&str; 6] = ["ingest", "artefact", "model", "estimate", "validate", "export"];
+    let mut all = Vec::new();
+    for (name, file) in recipes_without_twins() {
+        let recipe = Variant::of(&file).0;
+        let mut plugins = BTreeSet::new();
+        for stage in recipe["stages"].as_object().expect("stages").values() {
+            let plugin = |kind: &'static str| Some((kind, stage.get(kind)?.as_str()?.to_owned()));
+            plugins.extend(KINDS.into_iter().filter_map(plugin));
+        }
+        all.push((bytes_of_data(&recipe), plugins, name, file));
+    }
+    all.sort();
+    let mut seen = BTreeSet::new();
+    // All of its plugins are seen then: `any` would stop at the first new one.
+    all.retain(|(_, plugins, ..)| plugins.iter().filter(|plugin| seen.insert((*plugin).clone())).count() > 0);
+    all.into_iter().map(|(.., name, file)| (name, file)).collect()
+}
+
+/// Size of the files that a recipe names; of a pattern, that of the files in its folder.
+fn bytes_of_data(value: &Value) -> u64 {
+    let size = |file: &Path| fs::metadata(file).ok().filter(|found| found.is_file()).map_or(0, |found| found.len());
+    match value {
+        Value::String(text) if text.contains('*') => {
+            let folder = Path::new(text).parent().filter(|folder| folder.is_dir());
+            folder.map_or(0, |folder| files_in(folder).iter().map(|file| size(file)).sum())
+        }
+        Value::String(text) => size(Path::new(text)),
+        Value::Array(values) => values.iter().map(bytes_of_data).sum(),
+        Value::Object(values) => values.values().map(bytes_of_data).sum(),
+        _ => 0,
+    }
 }
 
 /// The files (not folders) in a folder, sorted.
