@@ -5,6 +5,35 @@ use std::fs;
 use super::plant::{Plant, ok, quiet};
 use crate::support::{json_file, read, root, temporary, write};
 
+/// A name with a slash behind it is no way round what stands there, and a later command would remove what has a name of its own.
+#[test]
+fn plans_and_merges_replace_no_file_by_another_name() {
+    let folder = temporary();
+    let at = folder.path();
+    Plant::of(3).write(at);
+    write(&at.join("mine.csv"), "mine\n");
+    std::os::unix::fs::symlink("mine.csv", at.join("link")).expect("a link");
+    fs::create_dir(at.join("sub")).expect("a folder");
+    for out in ["mine.csv/", "sub/../mine.csv/", "link/", "fleet.yaml/", "mine.csv/.", ".abbe-partial-abcdefghijkl"] {
+        let before = read(&at.join("fleet.yaml"));
+        let printed = quiet(at, &["fleet", "plan", "fleet.yaml", "--out", out]);
+        assert_eq!(printed.status, 2, "{out}: {}{}", printed.stdout, printed.stderr);
+        assert_eq!(read(&at.join("mine.csv")), "mine\n", "{out}");
+        assert_eq!(read(&at.join("fleet.yaml")), before, "{out}");
+        assert!(at.join("link").is_symlink() && !at.join(".abbe-partial-abcdefghijkl").exists(), "{out}");
+    }
+    ok(&quiet(at, &["fleet", "plan", "fleet.yaml"]));
+    ok(&quiet(at, &["fleet", "run", "fleet.manifest.jsonl", "--workers", "2"]));
+    let merge = |out: &str| quiet(at, &["fleet", "merge", "fleet.manifest.jsonl", "--out", out]);
+    let printed = merge(".abbe-partial-abcdefghijkl");
+    assert!(printed.status == 2 && printed.stderr.contains("a name of temporary folders"), "{}", printed.stderr);
+    assert!(!at.join("plant.sqlite").exists());
+    // Tables beside the results of jobs, which stay.
+    ok(&merge("fleet.results"));
+    ok(&merge("elsewhere"));
+    assert_eq!(read(&at.join("fleet.results/jobs.csv")), read(&at.join("elsewhere/jobs.csv")));
+}
+
 /// A plan takes the place of an earlier one of the same fleet, as it was planned, and of nothing else.
 #[test]
 fn a_plan_replaces_its_own_manifest_alone() {

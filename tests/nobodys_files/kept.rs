@@ -70,6 +70,20 @@ fn results_do_not_go_where_temporary_folders_are_removed() {
     }
     assert!(!small.path("sub").exists());
     assert_eq!(run(&small, ".abbe-partial-mine").0, 0);
+    let left = ".abbe-partial-abcdefghijkl";
+    let commands: [&[&str]; 5] = [
+        &["test", "recipe.yaml", "--out", left],
+        &["test", "recipe.yaml", "--junit", left],
+        &["test", "recipe.yaml", "--markdown", left],
+        &["plugins", "--pages", left],
+        &["history", "add", left, ".abbe-partial-mine/recipe"],
+    ];
+    for command in commands {
+        let printed = as_typed(small.folder.path(), command);
+        let is_told = format!("{}{}", printed.stdout, printed.stderr).contains("a name of temporary folders");
+        assert!(printed.status != 0 && is_told, "{command:?}: {} {}{}", printed.status, printed.stdout, printed.stderr);
+        assert!(!small.path(left).exists(), "{command:?}");
+    }
 }
 
 /// A new folder takes the place of an empty one, and not its permissions.

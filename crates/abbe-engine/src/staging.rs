@@ -25,6 +25,7 @@ impl Staging {
     /// Makes a temporary folder in `parent`, and `parent` if it is not there. What killed runs have left there is removed. Errors name
     /// `out`, as the user does.
     pub fn new(parent: &Path, out: &Path) -> Result<Self> {
+        refuse_temporary_place(out)?;
         let failed = |error: io::Error| unwritable(out, &error);
         let made = MadeFolders::new(parent).map_err(failed)?;
         // Nobody takes the new folder for an abandoned one before it has its lock.

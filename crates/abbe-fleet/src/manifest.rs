@@ -8,7 +8,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use abbe_core::{AskedOfPart, Error, FileFormat, Result};
-use abbe_engine::{FileRecord, temporary_file};
+use abbe_engine::{FileRecord, refuse_temporary_place, temporary_file};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -213,7 +213,10 @@ impl Manifest {
     /// # Errors
     /// If something else is there, a manifest of another fleet, or one that was changed by hand; and if the disk does not take it.
     pub fn write(path: &Path, mut head: Head, jobs: &[Job]) -> Result<Self> {
+        // `f/` would be written in the place of the file f.
+        let path: &Path = &path.components().collect::<PathBuf>();
         let failed = |error: &io::Error| unwritable(path, error);
+        refuse_temporary_place(path)?;
         may_take(path, &head)?;
         let path = whole(path)?;
         let folder = path.parent().unwrap_or(Path::new("/"));

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use abbe_core::{Calibration, Decision, Error, Monitor, Result, Verdict};
-use abbe_engine::MadeFolders;
+use abbe_engine::{MadeFolders, refuse_temporary_place};
 use abbe_history::{Entry, Stored};
 use serde_json::{Value, json};
 
@@ -60,6 +60,7 @@ pub fn merge(
     if !partial {
         none_open(manifest)?;
     }
+    refuse_temporary_place(out)?;
     let _alone = alone(manifest, monitor)?;
     let (mut last, mut shards, mut families) = (None, Vec::new(), Vec::new());
     let mut folder = MadeFolders::new(out).map_err(|error| unwritable(out, &error).help("name a folder: `--out`"))?;
@@ -104,13 +105,14 @@ pub fn merge(
 const ASKED: u32 = 600;
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// A lock on the folder of results: one merge of it is at work at a time. None where there are no results, or no locks.
+/// A lock on the manifest: one merge of it is at work at a time. None where there are no locks. Folders are no place for it: who writes
+/// into one locks it, and tables may go into the folder of results.
 fn alone(manifest: &Manifest, monitor: &Monitor) -> Result<Option<File>> {
-    let Ok(folder) = File::open(manifest.beside_it("results")) else { return Ok(None) };
+    let Ok(file) = File::open(&manifest.path) else { return Ok(None) };
     for _ in 0..ASKED {
         monitor.check()?;
-        match folder.try_lock() {
-            Ok(()) => return Ok(Some(folder)),
+        match file.try_lock() {
+            Ok(()) => return Ok(Some(file)),
             Err(TryLockError::WouldBlock) => std::thread::sleep(PAUSE),
             Err(TryLockError::Error(_)) => return Ok(None),
         }

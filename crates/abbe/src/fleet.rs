@@ -17,6 +17,7 @@ use serde_json::json;
 
 use crate::interrupt::{self, seconds};
 use crate::libraries::{Libraries, this_program};
+use crate::outputs::is_file_name;
 use crate::pretty;
 
 /// What is done with a fleet.
@@ -117,6 +118,7 @@ impl Asked {
         match self {
             Self::Plan { fleet, out } => {
                 let out = out.unwrap_or_else(|| Manifest::beside(&fleet));
+                is_file_name(&out)?;
                 let out = std::path::absolute(&out).map_err(|error| cannot_enter(&out, &error))?;
                 let wanted = Fleet::read(&fleet)?;
                 let (manifest, jobs) =

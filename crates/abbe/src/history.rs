@@ -107,6 +107,7 @@ impl Add {
             );
         }
         let place = named(&self.history)?;
+        can_add(&place)?;
         // Everything is read before the first entry is added.
         let read = |folder: &PathBuf| self.read(folder);
         let entries: Vec<Entry> = self.results.iter().map(read).collect::<Result<_>>()?;

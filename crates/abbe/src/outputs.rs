@@ -102,8 +102,10 @@ pub fn replace_all<'a>(files: impl IntoIterator<Item = (PathBuf, &'a str)>) -> R
     Ok(())
 }
 
-/// Fails if no file can be written there: the folder is asked for room for a name, and nothing stays.
+/// Fails if no file can be written there: the folder is asked for room for a name, and nothing stays. So it does for a name of temporary
+/// folders.
 pub fn can_be_written(file: &Path) -> Result<()> {
+    refuse_temporary_place(file)?;
     let place = abbe_files::place(file);
     let folder = place.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     temporary_file(folder).map(drop).map_err(|error| cannot_be_written(file, &error))

@@ -4,6 +4,7 @@ use std::io;
 use std::path::Path;
 
 use abbe_core::{Error, Registry, Result};
+use abbe_engine::refuse_temporary_place;
 
 /// Writes the reference pages of all plugins, and a list of them. A file that is no page is never replaced.
 pub fn write(registry: &Registry, folder: &Path) -> Result<String> {
@@ -19,6 +20,7 @@ pub fn write(registry: &Registry, folder: &Path) -> Result<String> {
         };
         Error::usage(format!("{}: {why}", file.display())).help("name another folder")
     };
+    refuse_temporary_place(folder)?;
     for (name, _) in &pages {
         let file = folder.join(name);
         match abbe_files::read(&file, abbe_files::LARGEST_TEXT) {

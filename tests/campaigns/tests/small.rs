@@ -4,7 +4,7 @@ use abbe_campaigns::{bad_inputs, batches, compensation, fuzz, hostile, machines,
 
 #[test]
 fn random_machines_keep_the_laws() {
-    let report = machines::run(7, 250);
+    let report = machines::run(7, 120);
     println!("{}", report.text);
     assert!(report.broken.is_empty(), "{}", report.broken.join("\n"));
     // Every end is seen, or the campaign would prove nothing.
@@ -43,7 +43,7 @@ fn robust_fits_settle_on_other_seeds() {
 
 #[test]
 fn corrected_set_points_keep_the_laws() {
-    let report = compensation::run(1, 300);
+    let report = compensation::run(1, 150);
     assert!(report.broken.is_empty(), "{}", report.text);
 }
 
@@ -52,7 +52,7 @@ const PROGRAM: &str = env!("CARGO_BIN_EXE_abbe-campaigns");
 
 #[test]
 fn bad_inputs_do_no_harm() {
-    let found = bad_inputs::run(PROGRAM.as_ref(), 1, 100);
+    let found = bad_inputs::run(PROGRAM.as_ref(), 1, 60);
     assert!(found.broken.is_empty(), "{}", found.text);
 }
 

@@ -4,7 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use abbe_core::{Error, Result};
-use abbe_engine::temporary_file;
+use abbe_engine::{refuse_temporary_place, temporary_file};
 use abbe_history::{Added, Entry, History};
 use abbe_recipe::HistoryPlace;
 
@@ -26,7 +26,10 @@ impl Keeper {
             HistoryPlace::File(path) if path.symlink_metadata().is_ok() => {
                 Ok(Self { history: History::open(&path)?, new: None })
             }
-            HistoryPlace::File(path) => Ok(Self { history: History::new(&path)?, new: Some(path) }),
+            HistoryPlace::File(path) => {
+                refuse_temporary_place(&path)?;
+                Ok(Self { history: History::new(&path)?, new: Some(path) })
+            }
         }
     }
 

@@ -4,7 +4,7 @@ use std::io;
 use std::path::Path;
 
 use abbe_core::{Error, Result};
-use abbe_engine::temporary_file;
+use abbe_engine::{refuse_temporary_place, temporary_file};
 use abbe_history::{Added, Entry, History};
 use abbe_recipe::HistoryPlace;
 
@@ -26,8 +26,11 @@ pub fn read(place: &Path) -> Result<History> {
     }
 }
 
-/// Fails for a file that is there and is no history, before anything is made for it.
+/// Fails for a file that is there and is no history, and for a name of temporary folders, before anything is made for it.
 pub fn can_add(place: &HistoryPlace) -> Result<()> {
+    if let HistoryPlace::File(path) = place {
+        refuse_temporary_place(path)?;
+    }
     match place {
         HistoryPlace::File(path) if path.metadata().is_ok_and(|found| found.len() > 0 || !found.is_file()) => {
             History::read(path).map(drop)
