@@ -122,7 +122,7 @@ fn folds_that_make_no_sense_are_refused_in_batches() {
 /// batches are, but for rounding.
 #[test]
 fn trials_have_the_distributions_of_rows_that_are_held() {
-    let trials = 200.0_f64;
+    let trials = 400.0_f64;
     let stage = json!({
         "estimate": "monte-carlo", "of": "fit-S2", "trials": trials, "coverage_probability": 0.5, "seed": 3,
         "vary": [{ "parameters": ["EYX[2]", "EZX[2]"], "distribution": "uniform", "at_end_of_travel_um": 3 }],

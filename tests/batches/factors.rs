@@ -121,7 +121,7 @@ fn factors_of_several_stages_are_those_of_rows_that_are_held() {
 fn who_repeats_the_estimate_gets_its_uncertainties() {
     let folder = temporary();
     let at = folder.path();
-    let trials = 100.0_f64;
+    let trials = 200.0_f64;
     let judged = json!({
         "left": { "validate": "residuals", "of": "fit-S3", "limits": { "max_um": 1e3 } },
         "thirds": { "validate": "hold-out", "of": "fit-S3", "rows": "odd", "folds": 3, "limits": { "rms_um": 1e3 } },

@@ -106,7 +106,7 @@ fn predictions_and_residuals_of_selected_terms_are_those_of_rows_that_are_held()
 /// Trials select anew, as those of rows that are held do.
 #[test]
 fn trials_of_selected_terms_have_the_distributions_of_rows_that_are_held() {
-    let trials = 100.0_f64;
+    let trials = 200.0_f64;
     let folder = temporary();
     let at = folder.path();
     let stage =
