@@ -211,7 +211,8 @@ impl Manifest {
     /// Writes a manifest, whole or not at all, where there is nothing or an earlier manifest of the same fleet.
     ///
     /// # Errors
-    /// If something else is there, a manifest of another fleet, or one that was changed by hand; and if the disk does not take it.
+    /// If something else is there, a manifest of another fleet, or one that was changed by hand; for a name of temporary folders; and if the
+    /// disk does not take it.
     pub fn write(path: &Path, mut head: Head, jobs: &[Job]) -> Result<Self> {
         // `f/` would be written in the place of the file f.
         let path: &Path = &path.components().collect::<PathBuf>();

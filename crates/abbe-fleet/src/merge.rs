@@ -47,8 +47,8 @@ pub struct Merged {
 /// Jobs that failed are told, and cost no others; jobs that nobody has done yet are an error unless `partial`.
 ///
 /// # Errors
-/// For open jobs, for results of another fleet, if the disk or the history does not take what is written, while another merge of this
-/// manifest is at work, after a minute, and if `monitor` is cancelled before all jobs are read.
+/// For open jobs, for results of another fleet, for names of temporary folders, if the disk or the history does not take what is written,
+/// while another merge of this manifest is at work, after a minute, and if `monitor` is cancelled before all jobs are read.
 pub fn merge(
     manifest: &Manifest,
     out: &Path,
@@ -105,9 +105,12 @@ pub fn merge(
 const ASKED: u32 = 600;
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// A lock on the manifest: one merge of it is at work at a time. None where there are no locks. Folders are no place for it: who writes
-/// into one locks it, and tables may go into the folder of results.
+/// A lock on the manifest: one merge of it is at work at a time. None where there are no locks, and on Windows, whose locks keep readers
+/// out. Folders are no place for it: who writes into one locks it, and tables may go into the folder of results.
 fn alone(manifest: &Manifest, monitor: &Monitor) -> Result<Option<File>> {
+    if cfg!(windows) {
+        return Ok(None);
+    }
     let Ok(file) = File::open(&manifest.path) else { return Ok(None) };
     for _ in 0..ASKED {
         monitor.check()?;
