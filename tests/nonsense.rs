@@ -7,7 +7,7 @@ use abbe_core::{Error, Monitor};
 use abbe_engine::{Outcome, Planned, prepare};
 use serde_json::{Value, json};
 
-use crate::support::{Variant, abbe, read, recipes, registry, temporary};
+use crate::support::{SMALL, Small, Variant, abbe, read, recipes, registry, temporary};
 
 /// The first steps with other touches and another machine.
 fn first_steps(change: impl Fn(&str, f64) -> f64, machine: &[(&str, Value)]) -> Result<Outcome, Error> {
@@ -618,7 +618,7 @@ fn a_wrong_distance_is_told_at_its_line() {
 /// A calibration that is marked, and one that contradicts its machine, are not built upon.
 #[test]
 fn absurd_calibrations_are_not_read() {
-    let small = crate::support::Small::new();
+    let small = Small::new();
     assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "out"]).status, 0);
     let stages = "  saved: { estimate: calibration, path: changed.json }\n  table-of-errors: { export: error-table, of: saved, step_mm: 100, step_deg: 30 }\n";
     small.write("again.yaml", &format!("abbe: 1\nname: Saved\nstages:\n{stages}"));
@@ -748,4 +748,26 @@ fn one_of_few_features_that_is_elsewhere_is_told() {
         let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str()]);
         assert_eq!(printed.stderr.contains("`bar.ball[1].x` is off by"), is_told, "{}", printed.stderr);
     }
+}
+
+/// Rows of an estimate test no prediction of it, whether they come from the same stage or are read once more.
+#[test]
+fn rows_that_an_estimate_has_seen_are_told_where_they_judge_it() {
+    let judged = |stages: &str| {
+        let small = Small::new();
+        small.write("recipe.yaml", &(SMALL.to_owned() + stages));
+        let printed = small.abbe(&["run", "recipe.yaml"]);
+        assert_eq!(printed.status, 0, "{}{}", printed.stdout, printed.stderr);
+        printed.stderr.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    let seen = "again: `fine` was estimated from rows that it is judged by here; of these nothing is predicted: data/lengths.csv rows 1";
+    let same = judged("  again: { validate: residuals, of: fine, observations: bar, limits: { max_um: 1000 } }\n");
+    assert!(same.contains(seen), "{same}");
+    let once_more = "  more: { ingest: csv, path: data/lengths.csv }
+  copy: { artefact: length, from: more, standard_uncertainty_um: 0.9 }
+  again: { validate: residuals, of: fine, observations: copy, limits: { max_um: 1000 } }
+";
+    let read_again = judged(once_more);
+    assert!(read_again.contains(seen), "{read_again}");
+    assert_eq!(judged(""), "");
 }

@@ -7,6 +7,7 @@ use abbe_core::{DataRecord, Error, Kind, Problem, Result};
 use abbe_recipe::Stage;
 
 use crate::batches::InBatches;
+use crate::prediction::Predicted;
 use crate::prepare::Prepared;
 use crate::readings::{self, has_readings};
 use crate::run::Datasets;
@@ -115,8 +116,8 @@ fn joined_runs(one: &[[usize; 2]], other: &[[usize; 2]]) -> Vec<[usize; 2]> {
 /// Most runs of rows that an error names of a file.
 const NAMED: usize = 6;
 
-/// The error for rows that would count twice.
-pub(crate) fn counted_twice(shared: &[DataRecord], between: &str) -> Error {
+/// Some rows in words, by file: `table.csv rows 1 to 5, 9`.
+fn in_words(rows: &[DataRecord]) -> String {
     let of_file = |record: &DataRecord| {
         let runs = record.rows.iter().take(NAMED).map(|[first, last]| match first == last {
             true => first.to_string(),
@@ -125,12 +126,36 @@ pub(crate) fn counted_twice(shared: &[DataRecord], between: &str) -> Error {
         let more = if record.rows.len() > NAMED { ", ..." } else { "" };
         format!("{} rows {}{more}", record.file, runs.collect::<Vec<_>>().join(", "))
     };
-    let rows: Vec<String> = shared.iter().map(of_file).collect();
-    Error::usage(format!("{between}: what they tell would count twice: {}", rows.join("; ")))
+    rows.iter().map(of_file).collect::<Vec<_>>().join("; ")
+}
+
+/// The error for rows that would count twice.
+pub(crate) fn counted_twice(shared: &[DataRecord], between: &str) -> Error {
+    Error::usage(format!("{between}: what they tell would count twice: {}", in_words(shared)))
         .help("estimate all at once, observe other rows, or write `shared_rows: accepted` where that does no harm")
 }
 
 impl Prepared {
+    /// Rows on which a validator predicts what an estimate has seen there, in words. One that finds features itself asks about readings.
+    pub(crate) fn seen_before(
+        &self,
+        unseen: &Predicted<'_>,
+        evidence: &BTreeMap<String, Vec<DataRecord>>,
+        digests: &Digests,
+    ) -> Vec<String> {
+        let predicts = |stage: &str| !self.validators[stage].finds_features();
+        let of_pair = |(&(stage, estimate), problem): (&(&str, &str), &Problem)| {
+            let seen = shared(&of_problem(problem, digests), evidence.get(estimate)?);
+            (!seen.is_empty()).then(|| {
+                format!(
+                    "{stage}: `{estimate}` was estimated from rows that it is judged by here; of these nothing is predicted: {}",
+                    in_words(&seen)
+                )
+            })
+        };
+        unseen.iter().filter(|((stage, _), _)| predicts(stage)).filter_map(of_pair).collect()
+    }
+
     /// Whether other estimates refer to this one.
     fn is_referred_to(&self, estimate: &str) -> bool {
         let refers = |stage: &Stage| {

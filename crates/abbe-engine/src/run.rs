@@ -66,7 +66,11 @@ impl Prepared {
         let evidence = self.evidence(&problems, &batches, &data, &digests)?;
         let groups = self.group_problems(&data)?;
         let unseen = self.predicted(&problems, &batches, &data, &mut taken)?;
-        self.repeated_evidence(&problems, &unseen, &data).iter().for_each(|sentence| tracing::warn!("{sentence}"));
+        let twice = self.repeated_evidence(&problems, &unseen, &data);
+        twice
+            .iter()
+            .chain(&self.seen_before(&unseen, &evidence, &digests))
+            .for_each(|sentence| tracing::warn!("{sentence}"));
         // Before the first fit, so that a feature that no artefact has is found before a long run.
         self.nothing_left_over(&data, &taken)?;
         self.rehearse(false, (&problems, &groups, &batches), &BTreeMap::new(), &unseen, &data)?;

@@ -80,7 +80,9 @@ fn table(name: &str, node: &Node<'_>, folder: &Path) -> Result<Vec<(Variables, V
     let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_reader(text.as_bytes());
     let at = |error: &csv::Error| {
         let line = error.position().map_or(1, |position| position.line() as usize);
-        Error::usage(format!("this is no table: {error}")).at(&path, line, None)
+        Error::usage(format!("this is no table: {error}"))
+            .at(&path, line, None)
+            .help("a row of names and then rows of values were expected, separated by commas, as UTF-8")
     };
     let header: Vec<String> = reader.headers().map_err(|error| at(&error))?.iter().map(str::to_owned).collect();
     let Some(column) = header.iter().position(|own| own == name) else {
@@ -88,7 +90,8 @@ fn table(name: &str, node: &Node<'_>, folder: &Path) -> Result<Vec<(Variables, V
         return Err(file.error(At::Value, message).suggest(name, header.iter().map(String::as_str)));
     };
     if let Some(twice) = header.iter().enumerate().find(|(index, own)| header[..*index].contains(own)) {
-        return Err(Error::usage(format!("the column `{}` is there twice", twice.1)).at(&path, 1, None));
+        let message = format!("the column `{}` is there twice", twice.1);
+        return Err(Error::usage(message).at(&path, 1, None).help("give each column a name of its own"));
     }
     let mut rows = Vec::new();
     for record in reader.records() {
@@ -97,7 +100,8 @@ fn table(name: &str, node: &Node<'_>, folder: &Path) -> Result<Vec<(Variables, V
         let value = record.get(column).map(cell).unwrap_or_default();
         if record.get(column).is_none_or(str::is_empty) {
             let line = record.position().map_or(1, |position| position.line() as usize);
-            return Err(Error::usage(format!("`{name}` is empty here")).at(&path, line, None));
+            let error = Error::usage(format!("`{name}` is empty here")).at(&path, line, None);
+            return Err(error.help("write its value, or remove the row"));
         }
         rows.push((cells, value));
     }

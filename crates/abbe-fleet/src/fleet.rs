@@ -117,7 +117,8 @@ impl Fleet {
             return Err(error.help("a value stands under `for` twice, or in two rows of a table"));
         }
         match seen.len() > MOST_JOBS {
-            true => Err(Error::usage(format!("these are more than {MOST_JOBS} jobs, the most of a fleet"))),
+            true => Err(Error::usage(format!("these are more than {MOST_JOBS} jobs, the most of a fleet"))
+                .help("list fewer values under `for`, and plan the others as another fleet")),
             false => Ok(()),
         }
     }

@@ -40,6 +40,9 @@ use std::path::Path;
 
 use abbe_core::Error;
 
+/// What to do about a result that cannot be read.
+const BROKEN: &str = "remove the file: `abbe fleet run` does the job again";
+
 /// What is said of a file that cannot be read.
 fn unreadable(path: &Path, error: &io::Error) -> Error {
     Error::data(format!("the file cannot be read: {}", abbe_files::why(error))).in_file(path)

@@ -18,8 +18,8 @@ use crate::own_files::OwnFiles;
 use crate::rounds::{Answer, Estimate};
 use crate::store::Store;
 use crate::table::{Cell, Column, Table};
-use crate::unwritable;
 use crate::worker::{Found, Registries};
+use crate::{BROKEN, unwritable};
 use blocks::Blocks;
 use keeper::Keeper;
 use names::Names;
@@ -244,6 +244,7 @@ impl Merging<'_> {
                 let found = serde_json::from_slice(&content).map_err(|error| {
                     Error::data(format!("this is no result of a job: {error}"))
                         .in_file(&self.store.result_file(&job.job))
+                        .help(BROKEN)
                 })?;
                 self.found(job, &job.name, found, self.files)
             }

@@ -12,6 +12,7 @@ use abbe_core::{AskedOfPart, Error, PartEvidence, Parts, Registry, Result};
 use abbe_engine::{OfParts, Part, prepared};
 use abbe_recipe::Template;
 
+use crate::BROKEN;
 use crate::manifest::{Family, Job, Manifest, Point, Shard};
 use crate::plan::name_of_shard;
 use crate::store::Store;
@@ -183,7 +184,9 @@ impl<'a> Estimate<'a> {
         let hash = job.hash(&self.family.recipe, self.texts[shard].value(), &points);
         let Some(content) = self.store.get(&hash) else { return Ok(None) };
         let part = serde_json::from_slice(&content).map_err(|error| {
-            Error::data(format!("this is no result of a shard: {error}")).in_file(&self.store.result_file(&hash))
+            Error::data(format!("this is no result of a shard: {error}"))
+                .in_file(&self.store.result_file(&hash))
+                .help(BROKEN)
         })?;
         Ok(Some(Arc::new(part)))
     }

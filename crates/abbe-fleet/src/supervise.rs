@@ -67,8 +67,10 @@ pub fn supervise(
     let (mut tasks, mut finished) = (VecDeque::new(), Finished::default());
     let mut refused = Vec::new();
     manifest.each_line(range, |index, line| {
-        let job: Job = serde_json::from_str(&line)
-            .map_err(|error| Error::data(format!("this is no job: {error}")).at(&manifest.path, index + 2, None))?;
+        let job: Job = serde_json::from_str(&line).map_err(|error| {
+            let error = Error::data(format!("this is no job: {error}")).at(&manifest.path, index + 2, None);
+            error.help("write the manifest anew: `abbe fleet plan`")
+        })?;
         match job.refused {
             Some(reason) => {
                 store.fail(&job.job, &reason)?;

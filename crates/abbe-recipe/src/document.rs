@@ -193,6 +193,10 @@ enum Frame {
     List(usize),
 }
 
+fn too_deep() -> String {
+    format!("lists and maps are more than {DEEPEST} deep here")
+}
+
 /// The place of every key and value. Refuses YAML that recipes do not allow.
 fn places(text: &str) -> Result<BTreeMap<Vec<PathItem>, Marks>, Refusal> {
     let mark_of = |marker: Marker| (marker.line(), marker.col() + 1);
@@ -204,7 +208,11 @@ fn places(text: &str) -> Result<BTreeMap<Vec<PathItem>, Marks>, Refusal> {
     while let Some(event) = parser.next_event() {
         let (event, span) = event.map_err(|error| Refusal {
             mark: mark_of(*error.marker()),
-            message: format!("this is not YAML: {}", error.info()),
+            // The parser has a depth of its own, which it may find before.
+            message: match error.info() {
+                "recursion limit exceeded" => too_deep(),
+                info => format!("this is not YAML: {info}"),
+            },
             at_sign: error.info().contains("`@'"),
         })?;
         let mark = mark_of(span.start);
@@ -249,7 +257,7 @@ fn places(text: &str) -> Result<BTreeMap<Vec<PathItem>, Marks>, Refusal> {
                 places.insert(path.clone(), Marks { key, value: mark });
                 match event {
                     Event::SequenceStart(..) | Event::MappingStart(..) if frames.len() == DEEPEST => {
-                        return refuse(mark, format!("lists and maps are more than {DEEPEST} deep here"));
+                        return refuse(mark, too_deep());
                     }
                     Event::SequenceStart(..) => frames.push(Frame::List(0)),
                     Event::MappingStart(..) => frames.push(Frame::Map(None)),

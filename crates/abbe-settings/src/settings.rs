@@ -154,6 +154,7 @@ fn in_words(expected: &str) -> String {
         "u16" => "a whole number from 0 to 65535".to_owned(),
         "u32" => "a whole number from 0 to 4294967295".to_owned(),
         "u64" | "usize" => "a whole number, not negative,".to_owned(),
+        "a nonzero usize" | "a nonzero u64" | "a nonzero u32" => "a whole number above 0".to_owned(),
         "i8" | "i16" | "i32" | "i64" | "isize" => "a whole number".to_owned(),
         "a boolean" => "true or false".to_owned(),
         "a string" => "a text".to_owned(),
