@@ -14,7 +14,9 @@ fn the_conformance_kit_passes_the_examples() {
         cargo_library("abbe-vendor-nutating-head"),
     ];
     for file in files {
-        let printed = abbe(folder.path(), &["plugin", "check", &file.to_string_lossy()]);
+        let file = file.to_string_lossy();
+        let limits = ["--time-limit", "600", "--total-time-limit", "3600"];
+        let printed = abbe(folder.path(), &[&["plugin", "check", &*file][..], &limits].concat());
         assert_eq!(printed.status, 0, "{}{}", printed.stdout, printed.stderr);
         assert_eq!(printed.stdout.matches("PASS").count(), 13, "{}", printed.stdout);
     }
@@ -40,7 +42,7 @@ fn the_conformance_kit_finds_what_is_wrong() {
     for (mode, test, expected) in cases {
         let folder = temporary();
         let library = bad(folder.path(), "bad", &[&format!("-DMODE=\"{mode}\"")]);
-        let limit = if mode == "hang" { "1" } else { "60" };
+        let limit = if mode == "hang" { "1" } else { "600" };
         let arguments =
             ["plugin", "check", &library.to_string_lossy(), "--time-limit", limit, "--json"].map(str::to_owned);
         let printed = abbe(folder.path(), &arguments);

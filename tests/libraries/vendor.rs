@@ -24,14 +24,6 @@ fn page() -> (String, String) {
     (blocks("toml").remove(0), blocks("rust").remove(0))
 }
 
-/// The profile that the tests are built with: with it the crates of the registry need no second build.
-fn profile() -> String {
-    let manifest = read(&root().join("Cargo.toml"));
-    let start = manifest.find("[profile.dev]").expect("the workspace has a profile");
-    let end = manifest.find("[profile.release]").expect("and one for releases");
-    manifest[start..end].to_owned()
-}
-
 /// Builds the crate of the page as a vendor does, with these options of the compiler for it alone.
 fn from_the_page(folder: &Path, source: &str, options: &[&str]) -> PathBuf {
     // All of them are built to one file, and copied from there.
@@ -40,11 +32,13 @@ fn from_the_page(folder: &Path, source: &str, options: &[&str]) -> PathBuf {
     let sdk = root().join("crates/abbe-plugin");
     let manifest = page().0.replace("../abbe/crates/abbe-plugin", &sdk.to_string_lossy());
     let package = "[package]\nname = \"vendor-list\"\nversion = \"1.2.3\"\nedition = \"2024\"\n\n";
-    write(&folder.join("Cargo.toml"), &format!("{package}{manifest}\n[workspace]\n\n{}", profile()));
+    write(&folder.join("Cargo.toml"), &format!("{package}{manifest}\n[workspace]\n"));
     write(&folder.join("src/lib.rs"), source);
     fs::copy(root().join("Cargo.lock"), folder.join("Cargo.lock")).expect("the versions of the workspace");
     let mut command = Command::new(env!("CARGO"));
     command.args(["rustc", "--offline", "--quiet", "--lib", "--target-dir"]).arg(target()).arg("--").args(options);
+    // The lints of this project are not those of a vendor, and its dependencies are built with fewer features: they need no profile either.
+    command.env("CARGO_PROFILE_DEV_DEBUG", "false").env_remove("RUSTC_WORKSPACE_WRAPPER");
     let built = command.current_dir(folder).output().expect("cargo runs");
     assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
     let name = format!("{}vendor_list{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
@@ -85,7 +79,7 @@ fn what_the_page_for_vendors_says_works() {
     let (printed, text) = run(&small, &library, &[]);
     assert_eq!(printed.status, 0, "{text}");
     assert!(small.read("out/recipe/written/list.txt").contains("EXX[1] "));
-    let checked = small.abbe(&["plugin", "check", &library.to_string_lossy()]);
+    let checked = small.abbe(&["plugin", "check", &library.to_string_lossy(), "--time-limit", "600"]);
     assert_eq!(checked.status, 0, "{}", checked.stdout);
 
     // A panic in an exporter, and one while settings are read.
@@ -158,7 +152,10 @@ fn the_artefact_and_the_errors_of_the_page_find_what_was_put_in() {
         assert!((found - truth).abs() < 1e-9, "{name}: {found} and {truth}");
     }
     for file in &files {
-        let printed = crate::support::abbe(vendor.path(), &["plugin", "check", file, "--recipe", "recipe.yaml"]);
+        let printed = crate::support::abbe(
+            vendor.path(),
+            &["plugin", "check", file, "--recipe", "recipe.yaml", "--time-limit", "600"],
+        );
         assert_eq!(printed.status, 0, "{}{}", printed.stdout, printed.stderr);
     }
 }

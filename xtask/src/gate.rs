@@ -3,7 +3,8 @@
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::{Outcome, borders, cargo, counts, header, linuxcnc, packages, python, root, run as run_command, untested};
@@ -49,17 +50,25 @@ fn minutes(time: Duration) -> String {
     format!("{:.1} min", time.as_secs_f64() / 60.0)
 }
 
+/// Cargo with the lints of Clippy, where a warning is an error. Clippy's compiler is that of Rust: what it has read it compiles as well.
+/// To run `cargo clippy` beside a build would compile every library twice.
+pub fn linted(arguments: &[&str]) -> Command {
+    let mut command = cargo(arguments);
+    let clippy = Path::new(command.get_program()).with_file_name("clippy-driver");
+    // `cargo clippy` hands over its arguments so.
+    command.env("RUSTC_WORKSPACE_WRAPPER", clippy).env("CLIPPY_ARGS", "-D__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__");
+    command
+}
+
 fn rust_alone(tests: &mut Tests) -> Outcome {
     run_command(cargo(&["fmt", "--all", "--check"]))?;
     let packages = packages()?;
     borders::check(&packages)?;
     untested::check(&packages)?;
     header::check()?;
-    let clippy = ["clippy", "--workspace", "--all-targets", "--locked"];
-    run_command(cargo(&[&clippy[..], &FEATURES, &["--", "-D", "warnings"]].concat()))?;
-    let mut docs = cargo(&[&["doc", "--workspace", "--no-deps", "--locked", "--quiet"][..], &FEATURES].concat());
-    docs.env("RUSTDOCFLAGS", "-D warnings");
-    run_command(docs)?;
+    // Tests build all else.
+    let benches = ["test", "--no-run", "--workspace", "--bench", "*", "--locked"];
+    run_command(linted(&[&benches[..], &FEATURES].concat()))?;
     let all = ["test", "--workspace", "--locked", "--no-fail-fast"];
     // Many tests wait, for limits of time or for other processes: one thread more than processors.
     let threads = format!("--test-threads={}", std::thread::available_parallelism().map_or(1, usize::from) + 1);
@@ -111,7 +120,7 @@ fn other_programs(tests: &mut Tests) -> Outcome {
 impl Tests {
     /// Runs `cargo test`, and counts.
     fn run(&mut self, arguments: &[&str]) -> Outcome {
-        let mut command = cargo(arguments);
+        let mut command = linted(arguments);
         command.env("INSTA_UPDATE", "no").stdout(Stdio::piped());
         println!("$ {command:?}");
         let mut child = command.spawn().map_err(|error| format!("cargo test cannot be run: {error}"))?;
@@ -143,7 +152,7 @@ impl Tests {
 
     /// The tests and doctests of the Python package.
     fn python(&mut self) -> Outcome {
-        let found = python::tests(&FEATURES)?;
+        let found = python::tests(linted)?;
         self.passed += found.passed;
         self.failed += found.failed;
         self.skipped.extend(found.skipped);
@@ -164,20 +173,12 @@ impl Tests {
 
     /// Counts what the oldest Rust said.
     fn oldest_rust(&mut self, oldest: OldestRust) -> Outcome {
-        match oldest {
-            OldestRust::Missing(version) => {
-                self.skipped.push(format!("oldest_rust: Rust {version} is not installed"));
-                Ok(())
-            }
-            OldestRust::Checks(mut check) => match check.wait() {
-                Ok(status) if status.success() => {
-                    self.passed += 1;
-                    Ok(())
-                }
-                Ok(status) => Err(format!("the oldest Rust does not compile the program: {status}")),
-                Err(error) => Err(format!("the oldest Rust: {error}")),
-            },
+        if let Some(version) = oldest.missing {
+            self.skipped.push(format!("oldest_rust: Rust {version} is not installed"));
         }
+        oldest.said.join().map_err(|_| "the oldest Rust was not asked".to_owned())??;
+        self.passed += 1;
+        Ok(())
     }
 
     /// Whether licences and advisories are those that `deny.toml` allows.
@@ -192,12 +193,12 @@ impl Tests {
     }
 }
 
-/// Whether the oldest Rust that the manifest promises compiles the program.
-enum OldestRust {
-    /// This version is not installed.
-    Missing(String),
-    /// It compiles.
-    Checks(Child),
+/// Whether the oldest Rust that the manifest promises compiles the program, and finds the documentation without fault. Where it is not
+/// there, this Rust reads the documentation.
+struct OldestRust {
+    /// The version, if it is not installed.
+    missing: Option<String>,
+    said: JoinHandle<Outcome>,
 }
 
 impl OldestRust {
@@ -206,20 +207,28 @@ impl OldestRust {
         let manifest = std::fs::read_to_string(root().join("Cargo.toml")).map_err(|error| error.to_string())?;
         let promised = manifest.lines().find_map(|line| line.strip_prefix("rust-version = "));
         let version = promised.ok_or("Cargo.toml promises no Rust version")?.trim_matches('"').to_owned();
-        let mut rust = Command::new("rustup");
-        rust.args(["run", &version, "cargo"]).current_dir(root());
-        if !is_there(&mut rust) {
-            return Ok(Self::Missing(version));
-        }
-        let mut check = Command::new("rustup");
-        check.args(["run", &version, "cargo", "check", "--quiet", "--package", "abbe", "--locked"]).current_dir(root());
-        check.arg("--target-dir").arg(root().join("target/oldest"));
-        // What this program was started with is not for another toolchain.
-        for name in ["RUSTUP_TOOLCHAIN", "RUSTC", "CARGO"] {
-            check.env_remove(name);
-        }
-        println!("$ {check:?}, beside what follows");
-        check.spawn().map(Self::Checks).map_err(|error| format!("the oldest Rust cannot be run: {error}"))
+        let with = move |version: &str, arguments: &[&str]| {
+            let mut rust = Command::new("rustup");
+            rust.args(["run", version, "cargo"]).args(arguments).current_dir(root());
+            // What this program was started with is not for another toolchain.
+            ["RUSTUP_TOOLCHAIN", "RUSTC", "CARGO"].iter().for_each(|name| {
+                rust.env_remove(name);
+            });
+            rust
+        };
+        let is_missing = !is_there(&mut with(&version, &[]));
+        let missing = is_missing.then(|| version.clone());
+        let said = std::thread::spawn(move || {
+            let quiet = ["--locked", "--quiet", "--target-dir", "target/oldest"];
+            let documents = [&["doc", "--workspace", "--no-deps"][..], &quiet, &FEATURES].concat();
+            let mut documents = if is_missing { cargo(&documents) } else { with(&version, &documents) };
+            documents.env("RUSTDOCFLAGS", "-D warnings");
+            run_command(documents)?;
+            // The documentation needs no functions of what nothing else is built on.
+            let program = [&["check", "--workspace"][..], &quiet, &FEATURES].concat();
+            if is_missing { Ok(()) } else { run_command(with(&version, &program)) }
+        });
+        Ok(Self { missing, said })
     }
 }
 

@@ -134,7 +134,7 @@ fn run(mut command: Command) -> Outcome {
 /// Counts instructions of the program of the tests as it is now, built as the gate builds it.
 fn count(save: bool) -> Outcome {
     let build = ["test", "--workspace", "--test", "whole", "--no-run", "--locked"];
-    run(cargo(&[&build[..], &gate::FEATURES].concat()))?;
+    run(gate::linted(&[&build[..], &gate::FEATURES].concat()))?;
     match counts::run(save)? {
         counts::Compared::Kept(words) => println!("{words}"),
         counts::Compared::Skipped(reason) => println!("skipped: {reason}"),

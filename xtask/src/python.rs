@@ -7,6 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use crate::gate::FEATURES;
 use crate::{Outcome, cargo, root, run as run_command};
 
 /// The Python that the package needs.
@@ -24,8 +25,8 @@ pub struct Found {
     pub skipped: Vec<String>,
 }
 
-/// Builds the package and runs its tests; skipped, with a word, where Python is absent.
-pub fn tests(features: &[&str]) -> Result<Found, String> {
+/// Builds the package with this Cargo and runs its tests; skipped, with a word, where Python is absent.
+pub fn tests(cargo: impl Fn(&[&str]) -> Command) -> Result<Found, String> {
     let skipped = |why: &str| Ok(Found { skipped: vec![format!("python: {why}")], ..Found::default() });
     if !succeeds(OLDEST) {
         return skipped("there is no Python 3.11 or later");
@@ -35,7 +36,7 @@ pub fn tests(features: &[&str]) -> Result<Found, String> {
     }
     // With a test, because tests ask for more features of some libraries: without one all would be built once more.
     let build = ["build", "--workspace", "--lib", "--test", "whole", "--locked"];
-    run_command(cargo(&[&build[..], features].concat()))?;
+    run_command(cargo(&[&build[..], &FEATURES].concat()))?;
     let package = put_together().map_err(|error| format!("the Python package cannot be put together: {error}"))?;
     let mut pytest = python();
     pytest.args([
@@ -64,7 +65,7 @@ pub fn tests(features: &[&str]) -> Result<Found, String> {
 
 /// Runs the tests and prints what was skipped.
 pub fn run() -> Outcome {
-    let found = tests(&crate::gate::FEATURES)?;
+    let found = tests(cargo)?;
     found.skipped.iter().for_each(|what| println!("skipped: {what}"));
     Ok(())
 }
