@@ -34,7 +34,7 @@ fn ended(small: &Small, arguments: &[&str]) -> Printed {
     let status = loop {
         match run.try_wait().expect("the program can be asked") {
             Some(status) => break status,
-            None if started.elapsed() > Duration::from_secs(120) => {
+            None if started.elapsed() > Duration::from_secs(600) => {
                 run.kill().expect("it can be ended");
                 panic!("{arguments:?} does not end");
             }

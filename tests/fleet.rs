@@ -127,7 +127,7 @@ fn lost_doubled_and_damaged_jobs_change_nothing() {
             let one = plant::start(folder.path(), &job);
             let other = plant::start(folder.path(), &job);
             for process in [one, other] {
-                ok(&bounded(process, Duration::from_secs(120)));
+                ok(&bounded(process, Duration::from_secs(600)));
             }
             sabotaged(&store, &mut random);
         }

@@ -150,7 +150,7 @@ fn interrupted_by(signal: &str, expected: i32) {
     let status = run.wait().expect("an interrupted run ends");
     assert_eq!(status.code(), Some(expected), "{signal}: {rest:?}");
     // Generous on a machine that does other things, too; without an end it would go on for hours.
-    assert!(asked.elapsed() < Duration::from_secs(20));
+    assert!(asked.elapsed() < Duration::from_secs(60));
     assert!(rest.iter().any(|line| line == "interrupted"), "{rest:?}");
     assert!(!small.path("out").exists(), "something half-written stays");
     let told = |event: &str, stage: &str| events.iter().any(|it| it["event"] == event && it["stage"] == stage);
@@ -168,7 +168,7 @@ fn has_begun(run: &mut std::process::Child, folder: &std::path::Path) -> bool {
         if fs::read_dir(folder).expect("a folder").next().is_some() {
             return true;
         }
-        assert!(started.elapsed() < std::time::Duration::from_secs(100), "there is no temporary folder");
+        assert!(started.elapsed() < std::time::Duration::from_secs(600), "there is no temporary folder");
         std::thread::sleep(std::time::Duration::from_millis(1));
     }
 }
@@ -223,13 +223,13 @@ fn commands_that_show_something_say_that_they_are_interrupted() {
             bits.and_then(|bits| u64::from_str_radix(bits.trim(), 16).ok()).is_some_and(|bits| bits & ALL == ALL)
         };
         let started = Instant::now();
-        while !handles() && started.elapsed() < Duration::from_secs(60) {
+        while !handles() && started.elapsed() < Duration::from_secs(300) {
             std::thread::sleep(Duration::from_millis(1));
         }
         let sent = std::process::Command::new("kill").args([signal, &run.id().to_string()]).status();
         assert!(sent.expect("kill is there").success());
         while run.try_wait().expect("it can be asked").is_none() {
-            if started.elapsed() > Duration::from_secs(120) {
+            if started.elapsed() > Duration::from_secs(600) {
                 run.kill().expect("it can be ended");
             }
             std::thread::sleep(Duration::from_millis(1));
@@ -343,7 +343,7 @@ fn in_batches_by(small: &Small, signal: &str, expected: i32, stage: &str) {
     assert_eq!(status.code(), Some(expected), "{stage} {signal}: {rest:?}");
     assert!(rest.iter().any(|line| line == "interrupted"), "{rest:?}");
     // Generous on a machine that does other things, too.
-    assert!(asked.elapsed() < Duration::from_secs(20));
+    assert!(asked.elapsed() < Duration::from_secs(60));
     assert!(!small.path("out").exists(), "something half-written stays");
     let left: Vec<_> = fs::read_dir(&temporary).expect("a folder").flatten().map(|entry| entry.path()).collect();
     assert!(left.is_empty(), "{stage} {signal}: {left:?}");
@@ -380,14 +380,14 @@ fn pages_are_all_there_or_none_is_after_a_signal() {
         let started = Instant::now();
         // Before it begins, or with some pages there.
         while pages(&name).len() < (number % 8) * 10 && run.try_wait().expect("it can be asked").is_none() {
-            assert!(started.elapsed() < Duration::from_secs(100), "no page is written");
+            assert!(started.elapsed() < Duration::from_secs(600), "no page is written");
         }
         let signal = ["-INT", "-TERM", "-HUP"][number % 3];
         let sent =
             std::process::Command::new("kill").args([signal, &run.id().to_string()]).stderr(Stdio::null()).status();
         began += usize::from(sent.is_ok_and(|sent| sent.success()));
         while run.try_wait().expect("it can be asked").is_none() {
-            assert!(started.elapsed() < Duration::from_secs(100), "it does not end");
+            assert!(started.elapsed() < Duration::from_secs(600), "it does not end");
             std::thread::sleep(Duration::from_millis(1));
         }
         let found = pages(&name);

@@ -9,7 +9,7 @@ use super::{merged, reference, same};
 use crate::support::{read, temporary, write};
 
 /// How long a merge may take.
-const MOST: Duration = Duration::from_secs(120);
+const MOST: Duration = Duration::from_secs(600);
 
 fn planned(folder: &Path, plant: &Plant) {
     plant.write(folder);

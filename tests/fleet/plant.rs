@@ -132,7 +132,7 @@ pub fn bounded(mut process: Child, most: Duration) -> Printed {
 
 /// Runs the program to its end.
 pub fn quiet(at: &Path, arguments: &[&str]) -> Printed {
-    bounded(start(at, arguments), Duration::from_secs(180))
+    bounded(start(at, arguments), Duration::from_secs(600))
 }
 
 pub fn ok(printed: &Printed) {

@@ -186,7 +186,7 @@ fn lost_and_doubled_shards_change_nothing() {
             assert!(round < 40, "seed {seed}: the rounds do not end");
             let all = ["fleet", "job", "fleet.manifest.jsonl", "--index", "0", "--count", "9"];
             for process in [start(at, &all), start(at, &all)] {
-                ok(&bounded(process, std::time::Duration::from_secs(120)));
+                ok(&bounded(process, std::time::Duration::from_secs(600)));
             }
             if round < 8 {
                 sabotaged(&at.join("fleet.results"), &mut random);

@@ -12,7 +12,7 @@ use crate::support::{skipped, temporary, tree};
 const DEFAULT_SIGNALS: &str = "--default-signal=INT,TERM,HUP";
 
 /// How long a command may take to end, in a machine that does much else.
-const MOST: Duration = Duration::from_secs(100);
+const MOST: Duration = Duration::from_secs(600);
 
 /// Times within a command at which a signal comes.
 const TIMES: u32 = 9;

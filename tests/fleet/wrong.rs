@@ -107,7 +107,7 @@ fn killed_processes_leave_whole_results() {
         let mut process = start(folder.path(), &["fleet", "run", "fleet.manifest.jsonl", "--workers", "2"]);
         let began = Instant::now();
         while children(process.id()).is_empty() && process.try_wait().is_ok_and(|ended| ended.is_none()) {
-            assert!(began.elapsed() < Duration::from_secs(20), "no worker begins");
+            assert!(began.elapsed() < Duration::from_secs(120), "no worker begins");
             std::thread::sleep(Duration::from_millis(2));
         }
         std::thread::sleep(Duration::from_millis(random.below(200) as u64));
@@ -119,7 +119,7 @@ fn killed_processes_leave_whole_results() {
             // Workers do not outlive the program that gives them work.
             let began = Instant::now();
             while workers.iter().any(|worker| lives(*worker)) {
-                assert!(began.elapsed() < Duration::from_secs(20), "a worker lives on");
+                assert!(began.elapsed() < Duration::from_secs(120), "a worker lives on");
                 std::thread::sleep(Duration::from_millis(5));
             }
         } else {
@@ -127,7 +127,7 @@ fn killed_processes_leave_whole_results() {
                 ended += usize::from(kill(*worker));
             }
             // They are started again, and the jobs tried again.
-            ok(&bounded(process, Duration::from_secs(120)));
+            ok(&bounded(process, Duration::from_secs(600)));
             let left = folder.path().join("fleet.results");
             fs::remove_dir_all(left).expect("the results go");
         }

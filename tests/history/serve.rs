@@ -10,7 +10,7 @@ use super::kept::results;
 use crate::support::{Small, abbe, program, read, root, temporary, write};
 
 /// How long a test waits for an answer.
-const LONGEST: Duration = Duration::from_secs(60);
+const LONGEST: Duration = Duration::from_secs(300);
 
 /// A server that ends with the test.
 pub struct Served {

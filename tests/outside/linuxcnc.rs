@@ -21,7 +21,7 @@ use crate::support::{read, root, skipped, temporary, write};
 pub(super) const USER: &str = "abbe-linuxcnc";
 
 /// Longest run of the control; a run takes 10 to 20 s.
-const LONGEST: Duration = Duration::from_secs(60);
+const LONGEST: Duration = Duration::from_secs(300);
 
 /// `halsampler` writes six decimals; positions are multiplied by this before.
 const FINER: f64 = 1e6;

@@ -92,7 +92,7 @@ fn what_a_pod_runs_is_its_batch() {
         pod.args(&command[1..]).args(&arguments).current_dir(other.path()).env("PATH", &path);
         pod.env("JOB_COMPLETION_INDEX", index.to_string());
         pod.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        ok(&bounded(pod.spawn().expect("a shell"), std::time::Duration::from_secs(120)));
+        ok(&bounded(pod.spawn().expect("a shell"), std::time::Duration::from_secs(600)));
     }
     let status = quiet(other.path(), &["fleet", "status", "fleet.manifest.jsonl"]);
     assert_eq!(status.stdout, format!("{} done, 0 failed, 0 open\n", plant.jobs()));

@@ -84,7 +84,7 @@ impl Loopback {
 
     pub fn new() -> Self {
         // Who looks up names is told of none by the C library where 127.0.0.1 is the only address.
-        let script = "ip link set lo up && ip addr add 127.0.0.2/32 dev lo && echo up && exec sleep 600";
+        let script = "ip link set lo up && ip addr add 127.0.0.2/32 dev lo && echo up && exec sleep 1800";
         let mut command = Command::new("unshare");
         command.args(["--net", "sh", "-c", script]).stdin(Stdio::null()).stdout(Stdio::piped());
         let mut held = command.spawn().expect("a network");

@@ -34,7 +34,7 @@ fn workers_that_are_killed_under_ray_change_nothing() {
     ray.arg("--object-store-memory=80000000").env("RAY_USAGE_STATS_ENABLED", "0");
     let cluster = Service(ray.spawn().expect("Ray starts"));
     let socket = folder.path().join("session_latest/sockets/raylet");
-    until("Ray is not there", Duration::from_secs(60), || socket.exists());
+    until("Ray is not there", Duration::from_secs(300), || socket.exists());
     let wrapper = |at: &Path| {
         let mut command = network.command(&python);
         command.arg(example("ray_fleet.py")).args(["fleet.manifest.jsonl", BATCH]).current_dir(at);

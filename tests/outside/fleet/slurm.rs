@@ -74,11 +74,11 @@ fn tasks_that_are_killed_under_slurm_change_nothing() {
         "munged",
         &[&["--foreground", "--force", "--num-threads=2", &key][..], &files.each_ref().map(String::as_str)].concat(),
     );
-    until("there is no service of keys", Duration::from_secs(10), || at.join("munge.socket").exists());
+    until("there is no service of keys", Duration::from_secs(60), || at.join("munge.socket").exists());
     let log = |name: &str| place(&format!("{name}.log"));
     let _control = service("slurmctld", &["-D", "-L", &log("ctld")]);
     let node = service("slurmd", &["-D", "-L", &log("d")]);
-    until("the node is not idle", Duration::from_secs(40), || {
+    until("the node is not idle", Duration::from_secs(300), || {
         let state = network
             .command("sinfo")
             .args(["-h", "-o", "%t"])

@@ -33,7 +33,7 @@ impl Drop for Running {
         // At once, with all that it does: `timeout` passes it on.
         let _ = Command::new("kill").args(["-INT", &self.process.id().to_string()]).status();
         let begun = Instant::now();
-        while begun.elapsed() < Duration::from_secs(20) {
+        while begun.elapsed() < Duration::from_secs(120) {
             if matches!(self.process.try_wait(), Ok(Some(_))) {
                 return;
             }
@@ -140,7 +140,7 @@ impl Running {
         while running.client("postgres").is_err() {
             let ended = running.process.try_wait().expect("a process");
             assert!(
-                ended.is_none() && begun.elapsed() < Duration::from_secs(60),
+                ended.is_none() && begun.elapsed() < Duration::from_secs(300),
                 "the server does not answer: {ended:?}"
             );
             sleep(Duration::from_millis(50));
