@@ -30,7 +30,9 @@ pub(crate) fn merged(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 /// The content of what is merged, by names.
 pub(crate) fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let at = folder.join("fleet.merged");
-    let mut found: BTreeMap<PathBuf, Vec<u8>> = tree(&at)
+    // A merge that was ended before it wrote anything leaves no folder.
+    let names = if at.exists() { tree(&at) } else { Vec::new() };
+    let mut found: BTreeMap<PathBuf, Vec<u8>> = names
         .into_iter()
         .filter(|name| !name.ends_with("written.jsonl"))
         .map(|name| (name.clone(), fs::read(at.join(&name)).expect("a file")))
