@@ -770,4 +770,15 @@ fn rows_that_an_estimate_has_seen_are_told_where_they_judge_it() {
     let read_again = judged(once_more);
     assert!(read_again.contains(seen), "{read_again}");
     assert_eq!(judged(""), "");
+    // Rows that the artefact keeps apart are judged, and get no word.
+    let apart =
+        SMALL.replace("standard_uncertainty_um: 1.6 }", "standard_uncertainty_um: 1.6, unseen: { group: [3] } }");
+    assert_ne!(apart, SMALL);
+    let small = Small::new();
+    small.write(
+        "recipe.yaml",
+        &(apart + "  again: { validate: residuals, of: fine, observations: table, limits: { max_um: 1000 } }\n"),
+    );
+    let printed = small.abbe(&["run", "recipe.yaml"]);
+    assert_eq!((printed.status, printed.stderr.as_str()), (0, ""), "{}", printed.stdout);
 }

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{DataRecord, Error, Kind, Problem, Result};
+use abbe_core::{DataRecord, DataRow, Error, Kind, Layout, Problem, Result};
 
 use abbe_recipe::Stage;
 
@@ -17,13 +17,22 @@ pub(crate) type Digests = BTreeMap<String, String>;
 
 /// The rows that a problem uses.
 pub(crate) fn of_problem(problem: &Problem, digests: &Digests) -> Vec<DataRecord> {
+    rows_of(problem, digests, |layout| &layout.merged)
+}
+
+/// The rows that a problem uses, without those that went into others.
+fn leading_rows(problem: &Problem, digests: &Digests) -> Vec<DataRecord> {
+    rows_of(problem, digests, |_| &[])
+}
+
+fn rows_of(problem: &Problem, digests: &Digests, more: impl Fn(&Layout) -> &[DataRow]) -> Vec<DataRecord> {
     let mut all: BTreeMap<String, Vec<usize>> = BTreeMap::new();
     for set in &problem.sets {
         let layout = &set.observations.info().layout;
         let data = &layout.data;
         let mut of_files = vec![Vec::new(); data.files.len()];
         let own = set.rows.iter().filter_map(|&row| layout.rows[row].data_row);
-        for row in own.chain(layout.merged.iter().copied()) {
+        for row in own.chain(more(layout).iter().copied()) {
             let origin = &data.origins[row];
             of_files[origin.file].push(origin.row);
         }
@@ -145,7 +154,8 @@ impl Prepared {
     ) -> Vec<String> {
         let predicts = |stage: &str| !self.validators[stage].finds_features();
         let of_pair = |(&(stage, estimate), problem): (&(&str, &str), &Problem)| {
-            let seen = shared(&of_problem(problem, digests), evidence.get(estimate)?);
+            // What rows went into others is known of all rows of an artefact, and not of those that are judged.
+            let seen = shared(&leading_rows(problem, digests), evidence.get(estimate)?);
             (!seen.is_empty()).then(|| {
                 format!(
                     "{stage}: `{estimate}` was estimated from rows that it is judged by here; of these nothing is predicted: {}",
