@@ -396,3 +396,28 @@ fn pages_are_all_there_or_none_is_after_a_signal() {
     }
     assert!(began > 0 && ended > 0, "{began} signals, {ended} with pages");
 }
+
+/// A long program that is being corrected: a signal leaves neither it nor a temporary file.
+#[test]
+#[cfg(unix)]
+fn a_program_that_is_interrupted_leaves_nothing() {
+    let folder = crate::support::temporary();
+    let calibration = crate::support::root().join("benches/calibrations/table-table.calibration.json");
+    let mut text = "G21 G90 G17 G94 G54\nG0 X-90 Y-90 Z10 A-20 C-30\nG1 F1000\n".to_owned();
+    (0..200_000).for_each(|block| text.push_str(&format!("X{} Y{}\n", block % 90, block % 80)));
+    crate::support::write(&folder.path().join("long.ngc"), &(text + "M2\n"));
+    for (signal, expected) in [("-INT", 130), ("-TERM", 143), ("-HUP", 129)] {
+        let out = folder.path().join("out");
+        fs::create_dir(&out).expect("a folder");
+        let arguments = ["long.ngc", "--dialect", "linuxcnc", "--correct", "five-axes", "--out", "out/corrected.ngc"];
+        let calibration = calibration.to_string_lossy();
+        let mut command = program(folder.path(), &[&["compensate", &*calibration][..], &arguments].concat());
+        let mut run = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts");
+        assert!(has_begun(&mut run, &out), "{signal}: it has ended before");
+        let sent = std::process::Command::new("kill").args([signal, &run.id().to_string()]).status();
+        assert!(sent.expect("kill is there").success());
+        assert_eq!(run.wait().expect("it ends").code(), Some(expected), "{signal}");
+        assert_eq!(tree(&out), Vec::<std::path::PathBuf>::new(), "{signal}");
+        fs::remove_dir(&out).expect("it is empty");
+    }
+}

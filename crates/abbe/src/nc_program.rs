@@ -278,15 +278,15 @@ impl Asked<'_> {
         let summary = compensate(&mut source.reader, &mut writer, build, options);
         let summary = (source.told(summary, options).map(|summary| source.completed(summary)))
             .and_then(|summary| writer.flush().map(|()| summary).map_err(failed));
+        if interrupt::happened() {
+            return Err(Error::interrupted());
+        }
         // What cannot be written is told of the file, and not of the program.
         if let Some(error) = writer.error.take() {
             return Err(failed(error));
         }
         let summary = summary?;
         drop(writer);
-        if interrupt::happened() {
-            return Err(Error::interrupted());
-        }
         interrupt::while_writing(|| file.persist_noclobber(out).map_err(|error| cannot_be_written(out, &error.error)))?;
         Ok(summary)
     }
@@ -461,6 +461,10 @@ impl<W: Write> Remembering<W> {
 
 impl<W: Write> Write for Remembering<W> {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        // A long program ends within a block, so that its temporary file goes with it.
+        if interrupt::happened() {
+            return Err(std::io::ErrorKind::Other.into());
+        }
         let written = self.into.write(bytes);
         // Who is interrupted tries again.
         match written {
