@@ -66,7 +66,9 @@ fn survives(
             let all = descendants(process.id());
             let _ = process.kill();
             let _ = process.wait();
-            all.into_iter().filter(|id| name_of(*id).is_some()).for_each(|id| drop(kill(id)));
+            for id in all.into_iter().filter(|id| name_of(*id).is_some()) {
+                kill(id);
+            }
             process = wrapper(folder.path()).spawn().expect("the wrapper starts");
             (began, tries) = (Instant::now(), tries + 1);
             continue;
