@@ -1,7 +1,7 @@
 //! What is hard to believe of a fit: for its heading in the summary.
 
-use abbe_core::{Fit, Quantity};
-use abbe_estimation::{copied_runs, doubtful_row, gathered_outliers, quiet_channels};
+use abbe_core::{Fit, Quantity, in_parallel};
+use abbe_estimation::{copied_runs, doubtful_row, gathered_outliers, quiet_channels, statement};
 
 use crate::number::short;
 use crate::record::Remark;
@@ -43,59 +43,63 @@ fn overstated(fit: &Fit) -> Option<String> {
         // How much smaller it is tells nothing more.
         let part = if report.sigma < 1e-3 { "less than 0.001".to_owned() } else { format!("only {}", short(report.sigma)) };
         format!(
-            "  {}: the residuals scatter {part} times as much as the stated uncertainties promise: these are too large, or nothing was \
-             measured\n",
-            fit.name
+            "the residuals scatter {part} times as much as the stated uncertainties promise: these are too large, or nothing was measured"
         )
     })
 }
 
-/// The same as remarks.
-pub(crate) fn remarks(all: &[Fit]) -> Vec<Remark> {
-    let text = doubts(all).unwrap_or_default();
-    let remark = |line: &str| {
-        let (estimate, text) = line.trim_start().split_once(": ")?;
-        Some(Remark { estimate: estimate.to_owned(), text: text.to_owned() })
-    };
-    text.lines().filter_map(remark).collect()
+/// A fit with the residuals of its rows, mm or rad, for all who look at them; none where they cannot be evaluated.
+struct Seen<'a> {
+    fit: &'a Fit,
+    residuals: Vec<f64>,
 }
 
-/// One line for everything that is hard to believe of some fits; none if all is well.
-pub fn doubts(all: &[Fit]) -> Option<String> {
-    let fits = all.iter().filter(|fit| {
-        let report = &fit.calibration.fit;
-        report.degrees_of_freedom > 0 && report.sigma > unlikely_above(report.degrees_of_freedom)
+/// What is hard to believe of some fits, one remark for each thing: all on the scatter first, then those of the next kind.
+pub(crate) fn doubts(all: &[Fit]) -> Vec<Remark> {
+    let kinds: [fn(&Seen<'_>) -> Vec<String>; 13] = [
+        |seen| understated(seen.fit).into_iter().collect(),
+        |seen| overstated(seen.fit).into_iter().collect(),
+        |seen| too_good(seen.fit).into_iter().collect(),
+        files::too_good,
+        quiet,
+        files::too_bad,
+        |seen| copied(seen.fit),
+        |seen| too_many_outliers(seen.fit).into_iter().collect(),
+        |seen| spoiled(seen.fit).into_iter().collect(),
+        gathered,
+        |seen| contradicted(seen).into_iter().collect(),
+        |seen| disagreeing(seen.fit).into_iter().collect(),
+        |seen| misstated(seen.fit),
+    ];
+    let of_fits = in_parallel(all, None, |fit| {
+        let residuals = fit.problem.residuals(&fit.problem.values_of(&fit.calibration)).unwrap_or_default();
+        let seen = Seen { fit, residuals };
+        kinds.map(|told| told(&seen))
     });
-    let lines = fits.map(|fit| {
+    let of_kind = |kind: usize| {
+        let told = all.iter().zip(&of_fits).flat_map(move |(fit, told)| told[kind].iter().map(move |text| (fit, text)));
+        told.map(|(fit, text)| Remark { estimate: fit.name.clone(), text: text.clone() })
+    };
+    (0..kinds.len()).flat_map(of_kind).collect()
+}
+
+/// A fit whose residuals are far larger than stated.
+fn understated(fit: &Fit) -> Option<String> {
+    let report = &fit.calibration.fit;
+    (report.degrees_of_freedom > 0 && report.sigma > unlikely_above(report.degrees_of_freedom)).then(|| {
         format!(
-            "  {}: the residuals scatter {} times as much as the stated uncertainties promise: the model lacks errors, or units, \
-             signs or uncertainties are wrong\n",
-            fit.name,
-            short(fit.calibration.fit.sigma)
+            "the residuals scatter {} times as much as the stated uncertainties promise: the model lacks errors, or units, signs or \
+             uncertainties are wrong",
+            short(report.sigma)
         )
-    });
-    let text: String = lines
-        .chain(all.iter().filter_map(overstated))
-        .chain(all.iter().filter_map(too_good))
-        .chain(all.iter().flat_map(files::too_good))
-        .chain(all.iter().flat_map(quiet))
-        .chain(all.iter().flat_map(files::too_bad))
-        .chain(all.iter().flat_map(copied))
-        .chain(all.iter().filter_map(too_many_outliers))
-        .chain(all.iter().filter_map(spoiled))
-        .chain(all.iter().flat_map(gathered))
-        .chain(all.iter().filter_map(contradicted))
-        .chain(all.iter().filter_map(disagreeing))
-        .chain(all.iter().flat_map(misstated))
-        .collect();
-    (!text.is_empty()).then_some(text)
+    })
 }
 
 /// Estimates that are not what the recipe states, but could be.
 fn misstated(fit: &Fit) -> Vec<String> {
     let found = abbe_estimation::contradicted(&fit.problem, &fit.calibration);
     let told = found.iter().filter(|stated| !stated.is_mistake());
-    told.map(|stated| format!("  {}: {}: is the statement right?\n", fit.name, stated.describe())).collect()
+    told.map(|stated| format!("{}: is the statement right?", stated.describe())).collect()
 }
 
 /// Probability below which new rows and what was known do not agree.
@@ -105,8 +109,8 @@ const DISAGREEING: f64 = 0.01;
 fn disagreeing(fit: &Fit) -> Option<String> {
     let found = fit.calibration.fit.agreement.as_ref().filter(|found| found.probability < DISAGREEING)?;
     Some(format!(
-        "  {}: the new rows do not agree with what was known: chi-squared {:.1} with {} degrees of freedom, probability {:.1e}\n",
-        fit.name, found.chi_squared, found.degrees_of_freedom, found.probability
+        "the new rows do not agree with what was known: chi-squared {:.1} with {} degrees of freedom, probability {:.1e}",
+        found.chi_squared, found.degrees_of_freedom, found.probability
     ))
 }
 
@@ -133,8 +137,7 @@ fn too_good(fit: &Fit) -> Option<String> {
     let wrong = lengths.max(angles) > AS_STATED && part < TOO_GOOD && part.is_finite();
     wrong.then(|| {
         format!(
-            "  {}: the residuals of {small} are {} of what is stated, those of {other} are not: is the unit of the {small} right?\n",
-            fit.name,
+            "the residuals of {small} are {} of what is stated, those of {other} are not: is the unit of the {small} right?",
             short(part)
         )
     })
@@ -144,20 +147,17 @@ fn too_good(fit: &Fit) -> Option<String> {
 const OFF: f64 = 5.0;
 
 /// Certificates that the estimate contradicts: known values that it is far from.
-fn contradicted(fit: &Fit) -> Option<String> {
-    let problem = &fit.problem;
-    let residuals = problem.residuals(&problem.values_of(&fit.calibration)).ok()?;
-    let rows = residuals.into_iter().zip(problem.standard_uncertainties()).zip(problem.constraints());
+fn contradicted(seen: &Seen<'_>) -> Option<String> {
+    let problem = &seen.fit.problem;
+    let rows = seen.residuals.iter().zip(problem.standard_uncertainties()).zip(problem.constraints());
     let off = rows.zip(problem.equation_rows()).filter(|((_, is_known), _)| *is_known);
-    let (worst, set) = off
-        .map(|(((residual, u), _), (set, _))| ((residual / u).abs(), set))
+    let (worst, (set, row)) = off
+        .map(|(((residual, u), _), row)| ((residual / u).abs(), row))
         .max_by(|(one, _), (other, _)| one.total_cmp(other))?;
     (worst > OFF).then(|| {
         format!(
-            "  {}: a known value of {} is off by {} of its standard uncertainties: certificates contradict each other, or the machine lacks \
-             errors\n",
-            fit.name,
-            problem.sets[set].name,
+            "{} is off by {} of its standard uncertainties: certificates contradict each other, or the machine lacks errors",
+            statement(problem, set, row).unwrap_or_else(|| format!("a known value of {}", problem.sets[set].name)),
             short(worst)
         )
     })
@@ -169,27 +169,24 @@ const EXACT: f64 = 0.01;
 /// Runs whose readings are those of others to the last digit.
 fn copied(fit: &Fit) -> Vec<String> {
     match fit.calibration.fit.sigma > EXACT {
-        true => copied_runs(&fit.problem).into_iter().map(|found| format!("  {}: {found}\n", fit.name)).collect(),
+        true => copied_runs(&fit.problem),
         false => Vec::new(),
     }
 }
 
 /// Channels of an instrument with far less noise than the others.
-fn quiet(fit: &Fit) -> Vec<String> {
-    let found = quiet_channels(&fit.problem, &fit.calibration);
-    found.into_iter().map(|found| format!("  {}: {found}\n", fit.name)).collect()
+fn quiet(seen: &Seen<'_>) -> Vec<String> {
+    quiet_channels(&seen.fit.problem, &seen.residuals)
 }
 
 /// Outliers that gather where one axis is not where it usually is.
-fn gathered(fit: &Fit) -> Vec<String> {
-    let found = gathered_outliers(&fit.problem, &fit.calibration);
-    found.into_iter().map(|found| format!("  {}: {found}\n", fit.name)).collect()
+fn gathered(seen: &Seen<'_>) -> Vec<String> {
+    gathered_outliers(&seen.fit.problem, &seen.fit.calibration, &seen.residuals)
 }
 
 /// One row that spoils a fit. Robust weights have left it out, and listed it.
 fn spoiled(fit: &Fit) -> Option<String> {
-    let found = doubtful_row(&fit.problem).filter(|_| fit.calibration.outliers.is_empty())?;
-    Some(format!("  {}: {found}\n", fit.name))
+    if fit.calibration.outliers.is_empty() { doubtful_row(&fit.problem) } else { None }
 }
 
 /// Part of the rows above which outliers are no gross errors any more.
@@ -205,8 +202,7 @@ fn too_many_outliers(fit: &Fit) -> Option<String> {
     };
     (outliers as f64 > MOST_OUTLIERS * rows as f64).then(|| {
         format!(
-            "  {}: {outliers} of {rows} rows are outliers: the stated uncertainties, the limit of outliers or the model are wrong\n",
-            fit.name
+            "{outliers} of {rows} rows are outliers: the stated uncertainties, the limit of outliers or the model are wrong"
         )
     })
 }

@@ -56,7 +56,6 @@ pub use abbe_measuring::Control;
 pub use abbe_planning::{LargestOfInput, Order, Plan, PlanFigures, Reached, Revisit};
 pub use check::Planned;
 pub use described::{Described, prepare_text};
-pub use doubts::doubts;
 pub use folder::{can_write_folder, write_folder};
 pub use given::{Given, prepare_given};
 pub use groups::day_of;

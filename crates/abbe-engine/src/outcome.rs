@@ -30,6 +30,8 @@ pub struct Outcome {
     pub failures: Vec<Failure>,
     /// What users should know before they trust the results.
     pub remarks: Vec<Remark>,
+    /// Those of them that are hard to believe.
+    pub doubts: Vec<Remark>,
     /// Further files among the results, by their names in the folder: the report and what it is made of.
     pub attached: Vec<(PathBuf, Vec<u8>)>,
     pub(crate) inputs: Vec<FileRecord>,

@@ -13,6 +13,7 @@ use abbe_estimation::{copies, falling_times, remarks, with_factors_found};
 use abbe_recipe::Stage;
 
 use crate::batches::{InBatches, Sources};
+use crate::doubts::doubts;
 use crate::evidence;
 use crate::groups::{GroupProblem, is_of};
 use crate::outcome::{Failure, Outcome};
@@ -24,7 +25,7 @@ use crate::readings::has_readings;
 use crate::record::{FileRecord, Remark, Stamp, changed, input_records, sha256, stamp, unchanged};
 use crate::saved::fit_without_rows;
 use crate::statuses;
-use crate::units::doubts;
+use crate::units::doubts as doubtful_units;
 
 /// What is known before the first fit.
 struct Known<'a> {
@@ -96,26 +97,30 @@ impl Prepared {
         exports.extend(self.exports(&fits, monitor, &mut failures)?);
         // What needs them has been made all the same.
         failures.extend(implausible);
-        let told = |(name, problem): (&String, &Problem)| {
-            let is_there = fits.iter().any(|fit| fit.name == *name);
-            let mut texts = Vec::new();
-            if is_there {
-                let compared =
-                    self.recipe_stage(name).map(|stage| self.comparisons(stage, problem, &data)).unwrap_or_default();
-                compared.iter().for_each(|remark| tracing::warn!("{name}: {remark}"));
-                texts.extend([remarks(problem), copies(problem), compared].into_iter().flatten());
-            }
-            texts.into_iter().map(|text| Remark { estimate: name.clone(), text }).collect::<Vec<_>>()
+        let told = |&(name, problem): &(&String, &Problem)| {
+            let compared =
+                self.recipe_stage(name).map(|stage| self.comparisons(stage, problem, &data)).unwrap_or_default();
+            ([remarks(problem), copies(problem)].concat(), compared)
         };
-        let of_fits = problems.iter().filter(|(_, problem)| !problem.sets.is_empty()).flat_map(told);
+        let is_there = |name: &String| fits.iter().any(|fit| fit.name == *name);
+        let with_rows: Vec<_> =
+            problems.iter().filter(|(name, problem)| is_there(name) && !problem.sets.is_empty()).collect();
+        let told = in_parallel(&with_rows, None, told);
+        let of_fits = with_rows.into_iter().zip(told).flat_map(|((name, _), (own, compared))| {
+            compared.iter().for_each(|remark| tracing::warn!("{name}: {remark}"));
+            let texts = own.into_iter().chain(compared);
+            texts.map(|text| Remark { estimate: name.clone(), text }).collect::<Vec<_>>()
+        });
         let of_groups = self.copied_groups(&fits, &problems);
         of_groups.iter().for_each(|remark| tracing::warn!("{}: {}", remark.estimate, remark.text));
-        let remarks = of_fits.chain(of_groups).chain(shown).chain(crate::doubts::remarks(&fits)).collect();
+        let doubts = doubts(&fits);
+        let remarks = of_fits.chain(of_groups).chain(shown).chain(doubts.iter().cloned()).collect();
         unchanged(&seen, &inputs)?;
         Ok(Outcome {
             recipe: self.recipe.id.clone(),
             title: self.recipe.name.clone(),
             remarks,
+            doubts,
             attached: Vec::new(),
             fits,
             verdicts,
@@ -368,7 +373,7 @@ impl Prepared {
         for stage in self.stages(Kind::Ingest) {
             self.started(stage, monitor)?;
             let read = self.located(stage, read(stage))?;
-            doubts(&read).iter().for_each(|told| tracing::warn!("{}: {told}", stage.name));
+            doubtful_units(&read).iter().for_each(|told| tracing::warn!("{}: {told}", stage.name));
             // Rows that an artefact takes are told of with its estimate.
             if !self.stages(Kind::Artefact).any(|artefact| artefact.reference("from").contains(&stage.name)) {
                 let told = falling_times(&read, read.row_indices());

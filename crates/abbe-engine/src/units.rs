@@ -50,12 +50,20 @@ fn likely_fahrenheit(data: &Dataset) -> Option<String> {
 /// How much colder than all others a sensor below zero is at least, K.
 const COLDER: f64 = 20.0;
 
-/// A sensor that begins below zero while all others begin as a machine at rest does, in words.
+/// A sensor that begins below zero while all others begin as a machine at rest does, in words; or all of them, where those of a machine at
+/// rest with turned signs do.
 fn likely_turned(data: &Dataset) -> Option<String> {
     let columns = data.columns.iter().filter(|column| column.header.quantity == Quantity::Temperature);
     let first = |name: &str| data.numbers(name)?.iter().copied().find(|value| value.is_finite());
     let firsts = columns.filter_map(|column| Some((column.header.name.as_str(), first(&column.header.name)?)));
     let (cold, others): (Vec<_>, Vec<_>) = firsts.partition(|(_, value)| *value < 0.0);
+    if let ([(name, value), ..], []) = (&cold[..], &others[..])
+        && cold.iter().all(|(_, value)| AT_REST.contains(&-value))
+    {
+        return Some(format!(
+            "all temperatures begin below 0 °C, as {name} at {value:.1} °C: are their signs turned? A machine at rest is hardly so cold"
+        ));
+    }
     let [least, most] = ends(&others.iter().map(|(_, value)| *value).collect::<Vec<f64>>())?;
     let [(name, value)] = cold[..] else { return None };
     let is_odd = AT_REST.contains(&least) && AT_REST.contains(&most) && value < least - COLDER;
@@ -143,6 +151,8 @@ mod tests {
             // Cool water, and a warm spindle.
             assert_eq!(told(&of(4.0)), None);
             assert_eq!(told(&of(80.0)), None);
+            let turned: Vec<f64> = firsts.iter().map(|value| -value).collect();
+            assert!(told(&turned).is_some_and(|told| told.contains("are their signs turned?")), "{firsts:?}");
         }
         // A cold hall, all of it.
         assert_eq!(likely_turned(&table("time_s,Ta_degC,Tb_degC\n0,-2,-1\n60,-1,0\n")), None);

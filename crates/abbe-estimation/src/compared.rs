@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use abbe_core::{KinematicModel, Problem};
-use abbe_numerics::{LeastSquares, Options, solve_from};
+use abbe_numerics::{Factor, LeastSquares, Options, solve_from};
 
 use crate::mistakes::spread;
 use crate::weighted::Weighted;
@@ -50,11 +50,7 @@ pub(crate) struct Fitted {
 impl Fitted {
     /// The fit from the start; none if there is none, or nothing is left to judge it by.
     pub fn of(problem: &Problem) -> Option<Self> {
-        let weighted = Weighted::new(problem).ok()?;
-        let options = Options { iterations: ITERATIONS, tolerance: 1e-3, ..Options::USUAL };
-        let solution = solve_from(&weighted, &problem.start(), None, &options).ok()?;
-        let residuals = weighted.in_uncertainties(problem.residuals(&solution.x).ok()?);
-        Self::new(residuals.iter().map(|residual| residual * residual).sum(), &weighted)
+        Self::from_start(problem, &Weighted::new(problem).ok()?, None)
     }
 
     /// The same after one step, which is most of it.
@@ -62,6 +58,23 @@ impl Fitted {
         let weighted = Weighted::new(problem).ok()?;
         let factor = weighted.factor(&problem.start(), None).ok()?;
         Self::new(factor.remaining_cost(), &weighted)
+    }
+
+    /// The fit from the start where residuals scatter by more than chance makes of what is stated; none where they do not, which a step
+    /// tells mostly.
+    pub fn beyond_chance(problem: &Problem) -> Option<Self> {
+        let weighted = Weighted::new(problem).ok()?;
+        let factor = weighted.factor(&problem.start(), None).ok()?;
+        let is_doubtful = Self::new(factor.remaining_cost(), &weighted)?.is_beyond_chance();
+        let fitted = is_doubtful.then(|| Self::from_start(problem, &weighted, Some(factor))).flatten();
+        fitted.filter(Self::is_beyond_chance)
+    }
+
+    fn from_start(problem: &Problem, weighted: &Weighted<'_>, factor: Option<Factor>) -> Option<Self> {
+        let options = Options { iterations: ITERATIONS, tolerance: 1e-3, ..Options::USUAL };
+        let solution = solve_from(weighted, &problem.start(), factor, &options).ok()?;
+        let residuals = weighted.in_uncertainties(problem.residuals(&solution.x).ok()?);
+        Self::new(residuals.iter().map(|residual| residual * residual).sum(), weighted)
     }
 
     fn new(squares: f64, weighted: &Weighted<'_>) -> Option<Self> {
@@ -123,10 +136,7 @@ pub fn explaining_machine<T>(
     machines: impl IntoIterator<Item = (T, Arc<dyn KinematicModel>)>,
 ) -> Option<(T, [f64; 2])> {
     let few = spread(problem, ROWS);
-    let now = Fitted::after_a_step(&few).filter(Fitted::is_beyond_chance).and_then(|_| Fitted::of(&few))?;
-    if !now.is_beyond_chance() {
-        return None;
-    }
+    let now = Fitted::beyond_chance(&few)?;
     let mut best: Option<(T, Fitted)> = None;
     for (name, model) in machines {
         problem.monitor.check().ok()?;

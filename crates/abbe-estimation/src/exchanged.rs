@@ -13,11 +13,9 @@ const ROWS: usize = 4000;
 /// no exchange makes them.
 pub(crate) fn exchanged(problem: &Problem) -> Option<String> {
     let few = spread(problem, ROWS);
-    if !Fitted::after_a_step(&few)?.is_beyond_chance() {
-        return None;
-    }
-    let now = Fitted::of(&few).filter(Fitted::is_beyond_chance)?;
-    let tried = pairs(&problem.model.info().axes).into_iter().filter_map(|[one, other]| {
+    let now = Fitted::beyond_chance(&few)?;
+    let pairs = pairs(&problem.model.info().axes).into_iter().filter(|pair| stays_within_travel(&few, pair));
+    let tried = pairs.filter_map(|[one, other]| {
         let exchanged = with_commands(&few, |status| status.swap(one.status, other.status));
         let after = Fitted::of(&exchanged).filter(|after| now.is_explained_by(after))?;
         is_determined(&exchanged).then_some((after, [one, other]))
@@ -31,6 +29,23 @@ pub(crate) fn exchanged(problem: &Problem) -> Option<String> {
         after.scatter(),
         now.scatter()
     ))
+}
+
+/// Part of a travel that commands may be beyond it: rounding.
+const ROUNDING: f64 = 1e-9;
+
+/// Whether two axes would stand within their travel if their commands were exchanged: elsewhere nobody has measured.
+fn stays_within_travel(problem: &Problem, [one, other]: &[&Axis; 2]) -> bool {
+    let holds = |axis: &Axis, column: usize| {
+        let Some([from, to]) = axis.range else { return true };
+        let slack = ROUNDING * (to - from);
+        let mut commands = problem.sets.iter().flat_map(|set| {
+            let poses = set.poses();
+            set.poses_of(&set.rows).map(move |pose| poses.row(pose)[column])
+        });
+        commands.all(|command| (from - slack..=to + slack).contains(&command))
+    };
+    holds(one, other.status) && holds(other, one.status)
 }
 
 /// Whether rows determine all unknowns: what leaves some free fits anything.

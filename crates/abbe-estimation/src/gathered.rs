@@ -58,9 +58,9 @@ impl Group {
 
 /// Sentences on sets whose outliers, or else whose large residuals, gather in rows in which one axis is not where it usually is, or at
 /// one place: its column may be wrong, or the machine lacks an error that this axis shows. Robust weights hide such rows, and what they
-/// would tell.
-pub fn gathered_outliers(problem: &Problem, calibration: &Calibration) -> Vec<String> {
-    let sizes = sizes(problem, calibration);
+/// would tell. `residuals` are those of the fit, mm or rad; none where they cannot be evaluated.
+pub fn gathered_outliers(problem: &Problem, calibration: &Calibration, residuals: &[f64]) -> Vec<String> {
+    let sizes = sizes(problem, residuals);
     let told = |held: &[Vec<f64>]| -> Vec<String> {
         let of_set = |(index, set): (SetIndex, &ObservationSet)| {
             let (own, held) = (sizes.get(index.0)?, held.get(index.0).map_or(&[][..], Vec::as_slice));
@@ -117,9 +117,11 @@ fn of_outliers(
 }
 
 /// The largest residual of each row in standard uncertainties, by sets; NaN without a residual.
-fn sizes(problem: &Problem, calibration: &Calibration) -> Vec<Vec<f64>> {
-    let Ok(residuals) = problem.residuals(&problem.values_of(calibration)) else { return Vec::new() };
-    of_rows(problem, residuals.into_iter().zip(problem.standard_uncertainties()).map(|(residual, u)| residual / u))
+fn sizes(problem: &Problem, residuals: &[f64]) -> Vec<Vec<f64>> {
+    if residuals.is_empty() {
+        return Vec::new();
+    }
+    of_rows(problem, residuals.iter().zip(problem.standard_uncertainties()).map(|(residual, u)| residual / u))
 }
 
 /// The largest size of each row, by sets, of numbers in the order of the equations; NaN without one.

@@ -103,7 +103,7 @@ pub use gathered::gathered_outliers;
 pub use inverse_kinematics::InverseKinematics;
 pub use judgement::Judgement;
 pub use location::{LocationError, LocationErrors, Standing, location_errors};
-pub use lone_row::{doubtful_row, spoiling_row};
+pub use lone_row::{doubtful_row, spoiling_row, statement};
 pub use mistakes::likely_mistakes;
 pub use parts::{ChangedParts, RowsAtHand, RowsInParts, SolutionOfParts, joined_evidence, looked_at, part_evidence};
 pub use plausibility::{

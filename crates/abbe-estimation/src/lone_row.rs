@@ -1,6 +1,6 @@
-//! One row that spoils a fit: a cell that was cut off, a digit too few.
+//! One row that spoils a fit, or one statement: a cell that was cut off, a digit too few.
 
-use abbe_core::{Problem, RowIndex, SetIndex};
+use abbe_core::{Evaluation, Problem, RowIndex, SetIndex};
 
 use crate::compared::Fitted;
 use crate::plausibility::large_errors_at;
@@ -13,11 +13,14 @@ const ROWS: std::ops::RangeInclusive<usize> = 10..=3000;
 /// Rows with the largest residuals that may be it, at the start and after a step each.
 const TRIED: usize = 2;
 
+/// Most statements that may be it, of those that other rows check.
+const STATEMENTS: usize = 30;
+
 /// How many times residuals scatter less without a row if a model that lacks errors is right but for it, and most of what is stated then.
 const FALLS: f64 = 10.0;
 const GOOD: f64 = 5.0;
 
-/// A row, and how well a problem fits with it and without.
+/// A row or a statement, and how well a problem fits with it and without.
 struct Lone {
     without: Problem,
     place: String,
@@ -28,7 +31,7 @@ struct Lone {
 impl Lone {
     fn words(&self) -> String {
         format!(
-            "without {} the residuals scatter {:.2} times as much as stated, and with it {:.2} times as much: is this row right?",
+            "without {} the residuals scatter {:.2} times as much as stated, and with it {:.2} times as much: is it right?",
             self.place,
             self.after.scatter(),
             self.before.scatter()
@@ -36,8 +39,8 @@ impl Lone {
     }
 }
 
-/// The sentence on one row without which residuals scatter as stated, where they do not with it. A fall by 40 of chi-squared is asked
-/// for: of normal residuals one in ten million rows makes it.
+/// The sentence on one row, or on one statement of a certificate, without which residuals scatter as stated, where they do not with it. A
+/// fall by 40 of chi-squared is asked for: of normal residuals one in ten million rows makes it.
 ///
 /// ```
 /// # use abbe_core::Problem;
@@ -69,25 +72,49 @@ pub fn spoiling_row(problem: &Problem, plausible: &Plausible) -> Option<String> 
     (!large.iter().any(|large| large.is_implausible())).then(|| lone.words())
 }
 
-/// The row without which a problem fits best, of those with the largest residuals.
+/// The row without which a problem fits best, of those with the largest residuals, and of statements.
 fn lone(problem: &Problem) -> Option<Lone> {
     if !ROWS.contains(&problem.sets.iter().map(|set| set.rows.len()).sum()) {
         return None;
     }
-    let before = Fitted::after_a_step(problem).filter(Fitted::is_beyond_chance).and_then(|_| Fitted::of(problem))?;
+    let before = Fitted::beyond_chance(problem)?;
     let mut rows = largest(problem, &problem.start());
     rows.extend(after_a_step(problem).map(|values| largest(problem, &values)).unwrap_or_default());
     rows.sort_unstable();
     rows.dedup();
-    let tried = rows.into_iter().filter_map(|(set, row)| {
+    let places = rows.into_iter().filter_map(|(set, row)| {
         let (file, origin) = problem.origin(set, row)?;
-        let place = origin.in_file(file);
+        Some(((set, row), origin.in_file(file)))
+    });
+    let tried = places.chain(statements(problem)).filter_map(|((set, row), place)| {
         let mut without = problem.clone();
         without.sets[set].rows.retain(|own| *own != row);
         let after = Fitted::of(&without)?;
         Some(Lone { without, place, before, after })
     });
     tried.min_by(|one, other| one.after.squares.total_cmp(&other.after.squares))
+}
+
+/// The rows of statements that were not measured here, with words for what is stated; none where there are too many.
+fn statements(problem: &Problem) -> Vec<((SetIndex, RowIndex), String)> {
+    let mut rows: Vec<(SetIndex, RowIndex)> = problem
+        .equation_rows()
+        .into_iter()
+        .zip(problem.constraints())
+        .filter_map(|(row, is)| is.then_some(row))
+        .collect();
+    rows.dedup();
+    rows.truncate(if rows.len() > STATEMENTS { 0 } else { STATEMENTS });
+    rows.into_iter().filter_map(|(set, row)| Some(((set, row), statement(problem, set, row)?))).collect()
+}
+
+/// What a constraint states: `length[1-2] of balls, which is stated,`.
+pub fn statement(problem: &Problem, set: SetIndex, row: RowIndex) -> Option<String> {
+    let mut work = Evaluation::default();
+    problem.evaluate(set, &[row], &[], &mut work).ok()?;
+    let &(_, input, _) = work.equations.by_input().first()?;
+    let own = &problem.sets[set];
+    Some(format!("{} of {}, which is stated,", own.info().inputs.get(input)?.parameter.name, own.name))
 }
 
 /// Values of all unknowns after one step, which is most of a fit.

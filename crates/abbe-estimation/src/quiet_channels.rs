@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use abbe_core::{Calibration, DataRow, Problem, SetIndex};
+use abbe_core::{DataRow, Problem, SetIndex};
 use abbe_numerics::row_noise;
 
 use crate::channels::channels_of;
@@ -13,10 +13,9 @@ use crate::copies::{least_uncertainties, step};
 type Part<'a> = (&'a str, &'a Path);
 
 /// The residuals of each channel in standard uncertainties, in the order of the rows, where an instrument has several channels.
-fn of_channels<'a>(problem: &'a Problem, calibration: &Calibration) -> BTreeMap<Part<'a>, Vec<(String, Vec<f64>)>> {
-    let Ok(residuals) = problem.residuals(&problem.values_of(calibration)) else { return BTreeMap::new() };
+fn of_channels<'a>(problem: &'a Problem, residuals: &[f64]) -> BTreeMap<Part<'a>, Vec<(String, Vec<f64>)>> {
     let names: Vec<Vec<String>> = problem.sets.iter().map(channels_of).collect();
-    let rows = residuals.into_iter().zip(problem.standard_uncertainties()).zip(problem.constraints());
+    let rows = residuals.iter().zip(problem.standard_uncertainties()).zip(problem.constraints());
     let mut found: BTreeMap<Part<'a>, Vec<(String, Vec<f64>)>> = BTreeMap::new();
     let (mut last, mut channel) = (None, 0);
     for (((residual, u), is_known), (index, row)) in rows.zip(problem.equation_rows()) {
@@ -62,10 +61,10 @@ fn digits(problem: &Problem, stage: &str, channel: &str) -> f64 {
 const NAMED: usize = 5;
 
 /// Channels with far less noise from row to row than all others of their instrument: their readings are in another unit. What a model
-/// lacks is in the residuals of all channels, and is mostly smooth. Sentences, one a channel.
-pub fn quiet_channels(problem: &Problem, calibration: &Calibration) -> Vec<String> {
+/// lacks is in the residuals of all channels, and is mostly smooth. `residuals` are those of the fit, mm or rad. Sentences, one a channel.
+pub fn quiet_channels(problem: &Problem, residuals: &[f64]) -> Vec<String> {
     let mut found = Vec::new();
-    for ((stage, file), channels) in of_channels(problem, calibration) {
+    for ((stage, file), channels) in of_channels(problem, residuals) {
         let noises: Option<Vec<f64>> = channels.iter().map(|(_, own)| Some(row_noise(own)?.size)).collect();
         let Some(noises) = noises else { continue };
         for (place, (channel, _)) in channels.iter().enumerate() {

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use abbe_core::{Decision, Estimated, Figure, Fit, Outlier, Status, Unit, Verdict};
-use abbe_engine::{Failure, Outcome, Planned, doubts};
+use abbe_engine::{Failure, Outcome, Planned, Remark};
 use serde_json::{Value, json};
 
 use crate::table;
@@ -23,12 +23,18 @@ pub fn text(name: &str, outcome: &Outcome, folder: &Path) -> String {
         parts.extend(lost(&outcome.fits));
         parts.extend(alike(&outcome.fits));
         parts.extend(correlated(&outcome.fits));
-        parts.extend(doubts(&outcome.fits).map(|text| section("Hard to believe", &text)));
+        parts.extend(doubts(&outcome.doubts));
     }
     parts.extend(outcome.verdicts.iter().map(verdict));
     parts.extend(failures(&outcome.failures));
     parts.push(format!("Results: {}\n", folder.display().to_string().replace('\n', "\u{240a}")));
     parts.join("\n")
+}
+
+/// What is hard to believe, one line each.
+fn doubts(doubts: &[Remark]) -> Option<String> {
+    let line = |Remark { estimate, text }: &Remark| format!("  {estimate}: {text}\n");
+    (!doubts.is_empty()).then(|| section("Hard to believe", &doubts.iter().map(line).collect::<String>()))
 }
 
 /// The stages without a result, and the beginning of why.

@@ -55,17 +55,24 @@ pub fn test(fit: &Fit, left_out: &BTreeSet<(SetIndex, RowIndex)>) -> Result<Vec<
     // The residual is treated as another column: only the inner products of all columns count.
     let columns = own + DEGREES * tested.len() + 1;
     let mut accumulator = Accumulator::new(columns, rows.len());
-    extended.linearise(&extended.values_of(&fit.calibration), |block| {
+    let mut entries = Vec::new();
+    extended.linearise_compact(&extended.values_of(&fit.calibration), |block| {
+        let count = block.unknowns.partition_point(|unknown| *unknown < own);
+        let present: Vec<usize> = block.unknowns[..count].iter().copied().chain(own..columns).collect();
+        let places = tested.iter().map(|(_, column)| block.unknowns.binary_search(column).ok());
+        let places: Vec<Option<usize>> = places.collect();
         for (equation, residual, line) in block.lines() {
             if left_out.contains(&rows[equation]) {
                 continue;
             }
-            let mut entries = line[..own].to_vec();
-            for (_, column) in &tested {
-                entries.extend(legendre(times[equation]).map(|value| value * line[*column]));
+            entries.clear();
+            entries.extend_from_slice(&line[..count]);
+            for place in &places {
+                let derivative = place.map_or(0.0, |place| line[place]);
+                entries.extend(legendre(times[equation]).map(|value| value * derivative));
             }
             entries.push(residual);
-            accumulator.push(&entries, 0.0, 1.0 / uncertainties[equation]);
+            accumulator.push_some(&present, &entries, 0.0, 1.0 / uncertainties[equation]);
         }
     })?;
     let factor = accumulator.finish();

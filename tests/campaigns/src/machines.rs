@@ -6,7 +6,7 @@
 //! 2. no parameter without effect on the measurements is called estimated: the effect is told by differences, far from zero;
 //! 3. an estimate from parts of the rows is that of all rows;
 //! 4. no value that is called estimated is off by more than ten of its standard uncertainties;
-//! 5. nobody is told that signs are turned, columns exchanged, rows planned or outliers gathered: data are as simulated.
+//! 5. nobody is told that signs are turned, columns exchanged, rows planned, outliers gathered or a row wrong: data are as simulated.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -16,7 +16,7 @@ use std::path::Path;
 use abbe_core::{Fit, Monitor, Owner, Problem, Registry, Status, Unknown, in_parallel};
 use abbe_engine::prepare;
 use abbe_estimation::laws::check_parts;
-use abbe_estimation::{at_contact, comparisons, gathered_outliers, remarks};
+use abbe_estimation::{at_contact, comparisons, doubtful_row, gathered_outliers, remarks};
 use serde_json::{Value, json};
 
 use crate::Random;
@@ -268,13 +268,16 @@ const FALSE: [&str; 6] = [
     "beside the nominal points of their facets",
 ];
 
-/// Remarks on signs that are turned, columns that are exchanged, rows of a plan, what other columns contradict, and outliers that gather.
+/// Remarks on signs that are turned, columns that are exchanged, rows of a plan, what other columns contradict, outliers that gather, and
+/// a single row or statement that spoils a fit.
 fn false_alarms(fit: &Fit) -> Vec<String> {
     let all = remarks(&fit.problem).into_iter();
     let told = all.filter(|remark| FALSE.iter().any(|words| remark.contains(words)));
     let compared = comparisons(&fit.problem);
-    let gathered = gathered_outliers(&fit.problem, &fit.calibration);
-    told.chain(compared).chain(gathered).map(|remark| format!("false alarm: {remark}")).collect()
+    let residuals = fit.problem.residuals(&fit.problem.values_of(&fit.calibration)).unwrap_or_default();
+    let gathered = gathered_outliers(&fit.problem, &fit.calibration, &residuals);
+    let spoiled = doubtful_row(&fit.problem).filter(|_| fit.calibration.outliers.is_empty());
+    told.chain(compared).chain(gathered).chain(spoiled).map(|remark| format!("false alarm: {remark}")).collect()
 }
 
 /// Parameters that are called estimated although residuals in nominal contact do not change when they change a lot.

@@ -4,9 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use crate::number::short;
-use abbe_core::Fit;
 
-use super::{MISSTATED, by_chance};
+use super::{MISSTATED, Seen, by_chance};
 
 /// Residuals of equations over their stated standard uncertainties.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -28,12 +27,11 @@ impl Residuals {
 }
 
 /// Those of each artefact stage in each file, without what certificates state and without outliers.
-fn of_files(fit: &Fit) -> BTreeMap<(&str, &Path), Residuals> {
-    let problem = &fit.problem;
-    let Ok(residuals) = problem.residuals(&problem.values_of(&fit.calibration)) else { return BTreeMap::new() };
+fn of_files<'a>(seen: &Seen<'a>) -> BTreeMap<(&'a str, &'a Path), Residuals> {
+    let (fit, problem) = (seen.fit, &seen.fit.problem);
     let outliers: BTreeSet<(&str, &str, usize)> =
         fit.calibration.outliers.iter().map(|row| (row.stage.as_str(), row.file.as_str(), row.row)).collect();
-    let rows = residuals.into_iter().zip(problem.standard_uncertainties()).zip(problem.constraints());
+    let rows = seen.residuals.iter().zip(problem.standard_uncertainties()).zip(problem.constraints());
     let mut found: BTreeMap<(&str, &Path), Residuals> = BTreeMap::new();
     for (((residual, u), is_known), (set, row)) in rows.zip(problem.equation_rows()) {
         let Some((file, origin)) = problem.origin(set, row).filter(|_| !is_known) else { continue };
@@ -69,9 +67,9 @@ const MANY: usize = 100;
 const ROWS_OF_AN_UNKNOWN: usize = 4;
 
 /// Files whose residuals are far smaller than stated while those of the other files are not: their readings are in another unit.
-pub(super) fn too_good(fit: &Fit) -> Vec<String> {
+pub(super) fn too_good(seen: &Seen<'_>) -> Vec<String> {
     let mut files: BTreeMap<&Path, Residuals> = BTreeMap::new();
-    for ((_, file), own) in of_files(fit) {
+    for ((_, file), own) in of_files(seen) {
         files.entry(file).or_default().add(own);
     }
     let mut all = Residuals::default();
@@ -81,7 +79,7 @@ pub(super) fn too_good(fit: &Fit) -> Vec<String> {
         let most = if own.count >= MANY { TOO_GOOD_OF_MANY } else { TOO_GOOD };
         own.count >= OF_A_FILE && (EXACT..most).contains(&own.rms()) && others(own) > OTHERS
     };
-    let fewest = MANY.max(ROWS_OF_AN_UNKNOWN * fit.problem.unknowns.len());
+    let fewest = MANY.max(ROWS_OF_AN_UNKNOWN * seen.fit.problem.unknowns.len());
     let is_half =
         |own: &Residuals| own.count >= fewest && HALF.contains(&own.rms()) && AS_STATED.contains(&others(own));
     let sentence = |(file, own): (&Path, Residuals)| {
@@ -92,8 +90,8 @@ pub(super) fn too_good(fit: &Fit) -> Vec<String> {
             }
             _ => return None,
         };
-        let (name, file, rms) = (&fit.name, file.display(), short(own.rms()));
-        Some(format!("  {name}: the residuals of `{file}` are {rms} of what is stated, {words}\n"))
+        let (file, rms) = (file.display(), short(own.rms()));
+        Some(format!("the residuals of `{file}` are {rms} of what is stated, {words}"))
     };
     files.into_iter().filter_map(sentence).collect()
 }
@@ -116,8 +114,8 @@ const NAMED: usize = 5;
 ///
 /// A file stands out if its residuals exceed the median of all by more than chance makes of them once in a million, times the factor by
 /// which uncertainties are misstated: 2; or, where there are many files with many residuals, as much as these differ.
-pub(super) fn too_bad(fit: &Fit) -> Vec<String> {
-    let files = of_files(fit);
+pub(super) fn too_bad(seen: &Seen<'_>) -> Vec<String> {
+    let files = of_files(seen);
     if files.len() < 2 {
         return Vec::new();
     }
@@ -142,9 +140,8 @@ pub(super) fn too_bad(fit: &Fit) -> Vec<String> {
     found.sort_by(|one, other| other.2.rms().total_cmp(&one.2.rms()));
     let sentence = |(stage, file, own): &(&str, &Path, Residuals)| {
         format!(
-            "  {}: the residuals of {stage} in `{}` are {} times what is stated, those of most others {} times: is it the right file, \
-             does the model lack an error there, or is something misstated (certificate, unit, place, uncertainty)?\n",
-            fit.name,
+            "the residuals of {stage} in `{}` are {} times what is stated, those of most others {} times: is it the right file, \
+             does the model lack an error there, or is something misstated (certificate, unit, place, uncertainty)?",
             file.display(),
             short(own.rms()),
             short(usual)
