@@ -786,6 +786,45 @@ fn what_a_program_leaves_open_is_told_or_refused() {
     assert!(found.status == 1 && found.stderr.contains("part.nc:3:"), "{}", found.stderr);
 }
 
+/// What is left of an arc where one axis alone is corrected is told, and pieces of it are not halved for ever.
+#[test]
+fn an_arc_that_one_axis_cannot_correct_is_refused() {
+    let folder = temporary();
+    let calibration = root().join("benches/calibrations/three-axis.calibration.json");
+    write(&folder.path().join("arc.ngc"), "G21 G90 G17 G94 G54\nG0 X0 Y0 Z0\nG2 I14.4767 J-0.9173 F300\nM2\n");
+    let calibration = calibration.to_string_lossy();
+    let arguments = ["compensate", &*calibration, "arc.ngc", "--dialect", "linuxcnc", "--out", "out.ngc"];
+    let all = abbe(folder.path(), &[&arguments[..], &["--correct", "position"]].concat());
+    assert_eq!(all.status, 0, "{}", all.stderr);
+    std::fs::remove_file(folder.path().join("out.ngc")).expect("it is there");
+    for tolerance in ["0.2", "0.1"] {
+        let more = ["--correct", "Z", "--tolerance-um", tolerance, "--decimals", "6"];
+        let found = abbe(folder.path(), &[&arguments[..], &more].concat());
+        assert!(found.status == 1 && found.stderr.contains("correct all linear axes"), "{}", found.stderr);
+        assert!(!folder.path().join("out.ngc").exists());
+    }
+}
+
+/// A byte order mark, which controls do not read, is left out. A program that ends within a line, with a move, may be cut off.
+#[test]
+fn the_first_and_the_last_bytes_of_a_program_are_looked_at() {
+    let machine = Machine::public("three-axis");
+    let part = "G21 G90 G17 G94 G54\nG0 X0. Y0. Z50.\nG1 X10. F100.\n";
+    for dialect in [Dialect::Iso, Dialect::Fanuc, Dialect::Linuxcnc, Dialect::Grbl] {
+        let options = Options::new(dialect);
+        let (plain, summary) = corrected(&machine, &format!("{part}M2\n"), &options, 1.0).expect("a program");
+        let (marked, _) = corrected(&machine, &format!("\u{feff}{part}M2\n"), &options, 1.0).expect("a program");
+        assert_eq!(marked, plain);
+        let is_told = |summary: &Summary| summary.remarks.iter().any(|remark| remark.contains("is the file whole?"));
+        assert!(!is_told(&summary));
+        for (end, is_open) in [("G1 X12.3", true), ("G1 X12.3\n", false), ("G1 X12.3\nM2", false), ("(the end)", false)]
+        {
+            let (_, summary) = corrected(&machine, &format!("{part}{end}"), &options, 1.0).expect("a program");
+            assert_eq!(is_told(&summary), is_open, "{dialect:?} {end}: {:?}", summary.remarks);
+        }
+    }
+}
+
 /// What stands behind the end of a program, inside a comment or behind `/` moves some controls, and is not passed over.
 #[test]
 fn what_controls_would_run_is_not_passed_over() {

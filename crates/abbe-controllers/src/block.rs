@@ -57,7 +57,7 @@ pub(crate) struct Reader<'a> {
     pub(crate) build: &'a MachineOf<'a>,
     /// Whether a corrected program is read.
     reads_corrected: bool,
-    has_ended: bool,
+    pub(crate) has_ended: bool,
     /// Whether there was a block: comments, empty lines and what frames a program are none.
     pub(crate) has_block: bool,
     /// Whether the mark of a corrected program was seen, and its text.

@@ -99,7 +99,7 @@ impl Points<'_> {
         let (mut start, mut at) = (range.start, from);
         while start < range.end {
             let mut end = range.end;
-            while end > start + 1 && self.bow(start, end) > self.tolerance {
+            while end > start + 1 && !self.is_straight(start, end) {
                 end = start + (end - start) / 2;
             }
             let to = self.grid.rounded(&self.points[end], &at);
@@ -109,19 +109,20 @@ impl Points<'_> {
         at
     }
 
-    /// Largest distance of the points in between from the line.
-    fn bow(&self, start: usize, end: usize) -> f64 {
+    /// Whether a line holds the points in between.
+    fn is_straight(&self, start: usize, end: usize) -> bool {
         let line = Path { from: self.points[start], to: self.points[end], arc: None };
-        self.off(&line, start, end)
+        self.holds(&line, start, end)
     }
 
-    fn off(&self, path: &Path, start: usize, end: usize) -> f64 {
+    /// Whether a path holds the points in between. The first that it does not hold decides, so that many refused paths of many points
+    /// take no time.
+    fn holds(&self, path: &Path, start: usize, end: usize) -> bool {
         let whole = self.parts[end] - self.parts[start];
-        let between = (start + 1..end).map(|point| {
+        (start + 1..end).all(|point| {
             let on = path.at((self.parts[point] - self.parts[start]) / whole);
-            self.apart(&on, &self.points[point])
-        });
-        between.fold(0.0, f64::max)
+            self.apart(&on, &self.points[point]) <= self.tolerance
+        })
     }
 
     fn apart(&self, one: &Coordinates, other: &Coordinates) -> f64 {
@@ -184,7 +185,7 @@ impl Points<'_> {
         }
         let sweep = sweep(flat(&from), flat(&to), centre, self.of.motion == Motion::Clockwise);
         let path = Path { from, to, arc: Some(Arc { plane: arc.plane, centre, sweep }) };
-        let holds = (sweep - turned).abs() < 0.1 && self.off(&path, start, end) <= self.tolerance;
+        let holds = (sweep - turned).abs() < 0.1 && self.holds(&path, start, end);
         holds.then_some(path)
     }
 }

@@ -172,12 +172,21 @@ impl<'a> Planner<'a> {
                         "{:.3} µm remain along this move, more than the tolerance of {tolerance} µm",
                         own.remaining * 1e3
                     );
-                    let turns = own.of.machine.places().any(|axis| is_rotary(axis) && own.of.machine.corrects(axis));
-                    let help = match turns {
-                        true => {
+                    let machine = &own.of.machine;
+                    let turns = machine.places().any(|axis| is_rotary(axis) && machine.corrects(axis));
+                    let is_held = machine.places().any(|axis| !is_rotary(axis) && !machine.corrects(axis));
+                    let help = match (turns, is_held) {
+                        (true, _) => {
                             "near a pole of the rotary axes correct the tip alone: `--correct position`; or allow more"
                         }
-                        false => "allow more: `--tolerance-um`, or more `--decimals`",
+                        (false, true) => {
+                            "correct all linear axes (`--correct position`): what those make that are not corrected remains; or allow \
+                             more: `--tolerance-um`"
+                        }
+                        (false, false) => {
+                            "allow more: `--tolerance-um`, or more `--decimals`; where axes are held at the ends of their travel, move the \
+                             program"
+                        }
                     };
                     return Err(Error::data(message).help(help).at_pose(index));
                 }

@@ -41,6 +41,9 @@ pub struct Summary {
     pub remarks: Vec<String>,
 }
 
+/// What some editors put before a text in UTF-8. Controls do not read it.
+const BYTE_ORDER_MARK: &[u8] = "\u{feff}".as_bytes();
+
 /// Longest line that is read, bytes.
 const LONGEST_LINE: usize = 1 << 16;
 
@@ -103,12 +106,21 @@ pub(crate) fn run(
         frame: None,
     };
     let mut lines = Lines::new(source, options);
-    let mut count = 0;
+    let (mut count, mut is_open) = (0, false);
     while let Some(line) = lines.next()? {
         count += 1;
+        let before = run.moves.len() + run.summary.moves + run.summary.uncorrected;
+        let has_end = line.ends_with(b"\n") || line.ends_with(b"\r");
         run.line(line, count)?;
+        is_open = !has_end && run.moves.len() + run.summary.moves + run.summary.uncorrected > before;
     }
     run.flush()?;
+    if is_open && !run.reader.has_ended {
+        let text = format!(
+            "Line {count}: the program ends with a move, without an end of this line and without an end of program: is the file whole?"
+        );
+        run.summary.remarks.push(text);
+    }
     if !run.reader.has_block {
         let error = Error::data("the program has no block: there is nothing to correct").in_file(&options.file);
         return Err(error.help("is this the file with the program, and is it whole?"));
@@ -338,7 +350,7 @@ impl<'a> Lines<'a> {
         Self { source, options, line: Vec::new(), number: 0 }
     }
 
-    /// The next line; none at the end.
+    /// The next line, the first without a byte order mark; none at the end.
     pub(crate) fn next(&mut self) -> Result<Option<&[u8]>> {
         use std::io::Read;
         self.line.clear();
@@ -350,6 +362,9 @@ impl<'a> Lines<'a> {
             return Ok(None);
         }
         self.number += 1;
+        if self.number == 1 && self.line.starts_with(BYTE_ORDER_MARK) {
+            self.line.drain(..BYTE_ORDER_MARK.len());
+        }
         if read > LONGEST_LINE {
             let error = Error::data("a line of a program is longer than 65536 bytes").help("is this an NC program?");
             return Err(error.at(&self.options.file, self.number, None));

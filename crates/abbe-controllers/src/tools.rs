@@ -34,6 +34,13 @@ impl Tools {
             let at = |message: &str| {
                 Error::data(message.to_owned()).help("a line is `T1 P1 Z120.5 D6`").at(file, index + 1, None)
             };
+            let is_word = |word: &str| {
+                let letter = word.chars().next().is_some_and(|letter| letter.is_ascii_alphabetic());
+                letter && word[1..].parse::<f64>().is_ok_and(f64::is_finite)
+            };
+            if let Some(other) = own.split_whitespace().find(|word| !is_word(word)) {
+                return Err(at(&format!("`{other}` is no letter with a number")));
+            }
             let number = value('T').filter(|number| *number >= 0.0 && number.fract() == 0.0 && *number < 1e6);
             let number = number.ok_or_else(|| at("a line of a tool table without the number of a tool"))?;
             let of_letter =
@@ -74,7 +81,16 @@ mod tests {
         let read = |text| Tools::read(text, Path::new("tool.tbl"));
         let tools = read("T4 P4 Z87.5 D6 ; end mill\n\nT5 P5 Z+120\n").expect("a table");
         assert_eq!((tools.length(4), tools.length(5), tools.length(6)), (Some(87.5), Some(120.0), None));
-        for wrong in ["T4 P4\n", "T1 Z1\nT1 Z2\n", "T1 Z120.5 Z20\n", "T1 P1 Z120 X200 Y-50\n", "T1 Z120 A5\n"] {
+        for wrong in [
+            "T4 P4\n",
+            "T1 Z1\nT1 Z2\n",
+            "T1 Z120.5 Z20\n",
+            "T1 P1 Z120 X200 Y-50\n",
+            "T1 Z120 A5\n",
+            "T1 P1 Z120 .5\n",
+            "T1 Z120.5 junk\n",
+            "T1 Z1e999\n",
+        ] {
             assert!(read(wrong).is_err_and(|error| error.place.is_some_and(|place| place.line.is_some())), "{wrong}");
         }
         assert!(read("\u{feff}T1 P1 Z120 X0 Y+0\n").is_ok());
