@@ -4,7 +4,7 @@ use std::f64::consts::{PI, TAU};
 
 use abbe_numerics::Ends;
 
-use crate::run::Run;
+use crate::run::{Run, Step};
 
 /// Range of the readings of a radial sensor, in standard deviations of its noise, that noise alone hardly has. It sees the eccentricity and
 /// the form of the artefact at least.
@@ -129,11 +129,118 @@ pub fn tell_unlike(what: &str, values: &[(String, f64)]) {
     }
 }
 
+/// Part of a mean within which means of the same sensor are alike: its gap was set once.
+const SAME_GAP: f64 = 0.05;
+
+/// Fewest sensors of a run whose signs are turned together: of one alone it may be chance.
+const TURNED: usize = 2;
+
+/// Tells of a run in which the means of all sensors are those of the other runs with the other sign; `means` are those of the sensors by
+/// the names of runs, mm.
+pub fn tell_turned(means: &[(String, Vec<f64>)]) {
+    let runs = (0..means.len()).filter(|&run| is_turned(means, run)).map(|run| &means[run].0);
+    runs.for_each(|run| {
+        tracing::warn!(
+            "run `{run}`: the mean readings are those of the other runs with the other sign: are its signs turned?"
+        );
+    });
+}
+
+fn is_turned(means: &[(String, Vec<f64>)], run: usize) -> bool {
+    let (own, others) = (&means[run].1, || means.iter().enumerate().filter(|(other, _)| *other != run));
+    let opposes = |sensor: usize| {
+        let is_alike = |(_, (_, other)): (usize, &(String, Vec<f64>))| {
+            other.get(sensor).is_some_and(|other| (other + own[sensor]).abs() < SAME_GAP * own[sensor].abs())
+        };
+        others().all(is_alike)
+    };
+    others().count() >= 2 && own.len() >= TURNED && (0..own.len()).all(opposes)
+}
+
+/// Fewest readings of each sensor, at the same places of two runs, that two runs do not have in common by chance.
+const COPIED: usize = 300;
+
+/// Tells of a run whose sensors read what they read in an earlier one; `runs` are their labels, and some of their steps. Readings have
+/// noise, and digits that show it: all of so many agree only where one run was copied.
+pub fn tell_copied(runs: &[(String, Vec<(u64, Step)>)]) {
+    for (place, (run, own)) in runs.iter().enumerate() {
+        if let Some((other, _)) = runs[..place].iter().find(|(_, other)| is_copied(own, other)) {
+            tracing::warn!(
+                "run `{run}`: the sensors read what they read in run `{other}`, to the last digit: is one a copy of the other?"
+            );
+        }
+    }
+}
+
+/// Both are in the order of their numbers.
+fn is_copied(one: &[(u64, Step)], other: &[(u64, Step)]) -> bool {
+    let mut others = other.iter().peekable();
+    let mut common = 0;
+    for (number, own) in one {
+        while others.next_if(|(other, _)| other < number).is_some() {}
+        let Some((_, same)) = others.next_if(|(other, _)| other == number) else { continue };
+        if own.readings != same.readings {
+            return false;
+        }
+        common += 1;
+    }
+    common >= COPIED
+}
+
 #[cfg(test)]
 mod tests {
     use abbe_numerics::Generator;
 
     use super::*;
+
+    #[test]
+    fn turned_signs_of_a_run_are_told() {
+        let gaps = |random: &mut Generator| -> Vec<f64> { (0..3).map(|_| 0.1 * random.normal()).collect() };
+        for seed in 0..2000 {
+            let mut random = Generator::new(seed, 3);
+            let gap = gaps(&mut random);
+            let run = |random: &mut Generator, sign: f64| -> Vec<f64> {
+                gap.iter().map(|gap| sign * gap * (1.0 + 0.01 * random.uniform())).collect()
+            };
+            let mut means: Vec<(String, Vec<f64>)> =
+                (0..3).map(|place| (place.to_string(), run(&mut random, 1.0))).collect();
+            assert!((0..3).all(|place| !is_turned(&means, place)), "{seed}: {means:?}");
+            means[1].1 = run(&mut random, -1.0);
+            assert_eq!(
+                (0..3).map(|place| is_turned(&means, place)).collect::<Vec<_>>(),
+                [false, true, false],
+                "{seed}"
+            );
+            // Sensors that are set to zero before each run.
+            let zeroed: Vec<(String, Vec<f64>)> = (0..3).map(|place| (place.to_string(), gaps(&mut random))).collect();
+            assert!((0..3).all(|place| !is_turned(&zeroed, place)), "{seed}: {zeroed:?}");
+        }
+    }
+
+    #[test]
+    fn copied_readings_are_told() {
+        let steps = |random: &mut Generator, noise: f64| -> Vec<(u64, Step)> {
+            let step = |number: u64| {
+                let turned = (0.05 * number as f64).sin();
+                // Digits of 10 nm.
+                let readings =
+                    [5.0, 3.0, 0.2].map(|size| ((size * turned + noise * random.normal()) * 100.0).round() * 1e-5);
+                (number, Step { angle: 0.05, time: 1e-4, readings })
+            };
+            (1..=400).map(step).collect()
+        };
+        for seed in 0..500 {
+            let mut random = Generator::new(seed, 4);
+            // Noise of a tenth of a digit, and more.
+            let noise = 1e-3 * 30_f64.powf(random.uniform().abs());
+            let (one, other) = (steps(&mut random, noise), steps(&mut random, noise));
+            assert!(!is_copied(&one, &other), "{seed}: {noise}");
+            let later: Vec<(u64, Step)> =
+                one.iter().map(|(number, step)| (*number, Step { time: 2e-4, ..*step })).collect();
+            assert!(is_copied(&later, &one), "{seed}");
+            assert!(!is_copied(&later[..200], &one), "{seed}");
+        }
+    }
 
     /// The range of readings of a motion and noise, in the unit of these.
     fn range(random: &mut Generator, (motion, noise): (f64, f64)) -> f64 {

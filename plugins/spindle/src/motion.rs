@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::doubts::{Sensor, tell_silent, tell_unlike};
+use crate::doubts::{Sensor, tell_copied, tell_silent, tell_turned, tell_unlike};
 use crate::encoder::Encoder;
 use crate::evaluated::{Evaluated, Fits, evaluate};
 use crate::harmonics::Basis;
@@ -320,8 +320,9 @@ impl Estimate for Motion {
         let (mut found, mut names) = (Found::default(), BTreeSet::new());
         let (mut condition, mut unknowns) = (1.0_f64, 0);
         let mut asynchronous: BTreeMap<String, Vec<(String, f64)>> = BTreeMap::new();
+        let (mut means, mut seen) = (Vec::new(), Vec::new());
         let (runs, sizes) = evaluate(data, &self.expected(), self.fits())?;
-        for Evaluated { run, fitted } in runs {
+        for Evaluated { mut run, fitted } in runs {
             let called = self.name(&run);
             if !names.insert(called.clone()) {
                 let message = format!("there is a run called `{called}` already");
@@ -341,7 +342,12 @@ impl Estimate for Motion {
             }
             condition = condition.max(fitted.condition);
             unknowns += combined.len();
+            // The first coefficient of a sensor is its mean.
+            means.push((called, fitted.values.iter().map(|own| own[0]).collect::<Vec<f64>>()));
+            seen.push((run.label.clone(), std::mem::take(&mut run.steps)));
         }
+        tell_turned(&means);
+        tell_copied(&seen);
         for (direction, values) in &asynchronous {
             tell_unlike(&format!("the asynchronous motion {direction}"), values);
         }
