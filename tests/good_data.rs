@@ -40,6 +40,20 @@ fn touched_again(text: &str, random: &mut Random, change: impl Fn(&str, usize, &
 }
 
 /// Only the axis that touches says whether its direction leads to the surface: those of the others say from where they came.
+/// Uncertainties that are stated a little too small make no exchange of axes that cannot stand where it would put them.
+#[test]
+fn no_exchange_leads_beyond_the_travel() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["probe-lobing"]);
+    let stages = recipe.0["stages"].as_object_mut().expect("stages");
+    for stage in stages.values_mut().filter(|stage| stage.get("artefact").is_some()) {
+        let stated = stage["standard_uncertainty_um"].as_f64().expect("an uncertainty");
+        stage["standard_uncertainty_um"] = json!(0.75 * stated);
+    }
+    let said = said(&recipe, folder.path());
+    assert!(!said.contains("exchanged"), "{said}");
+}
+
 #[test]
 fn a_baseline_of_several_files_is_not_asked_for_signs() {
     let recipe = Variant::of(&recipes()["rapid-verify-five-axis"]).only(&["calibrated"]);

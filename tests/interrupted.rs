@@ -404,7 +404,7 @@ fn a_program_that_is_interrupted_leaves_nothing() {
     let folder = crate::support::temporary();
     let calibration = crate::support::root().join("benches/calibrations/table-table.calibration.json");
     let mut text = "G21 G90 G17 G94 G54\nG0 X-90 Y-90 Z10 A-20 C-30\nG1 F1000\n".to_owned();
-    (0..200_000).for_each(|block| text.push_str(&format!("X{} Y{}\n", block % 90, block % 80)));
+    (0..1_000_000).for_each(|block| text.push_str(&format!("X{} Y{}\n", block % 90, block % 80)));
     crate::support::write(&folder.path().join("long.ngc"), &(text + "M2\n"));
     for (signal, expected) in [("-INT", 130), ("-TERM", 143), ("-HUP", 129)] {
         let out = folder.path().join("out");

@@ -726,6 +726,32 @@ fn certificates_that_contradict_each_other_are_told() {
     assert!(printed.status != 0 || said.contains("certificates contradict each other"), "{said}");
 }
 
+/// One of six stated distances that the others contradict is told by its name; right ones get no word.
+#[test]
+fn a_wrong_distance_of_several_is_named() {
+    let folder = temporary();
+    let told = |change: Option<(usize, f64)>| -> Vec<String> {
+        let mut recipe = Variant::of(&recipes()["linuxcnc-balls"]);
+        if let Some((place, off)) = change {
+            let length = &mut recipe.stage("balls")["distances"][place]["length_mm"];
+            *length = json!(length.as_f64().expect("a length") + off);
+        }
+        let outcome = ran(&recipe, folder.path()).expect("a run");
+        outcome.doubts.into_iter().map(|doubt| doubt.text).collect()
+    };
+    assert_eq!(told(None), Vec::<String>::new());
+    let names = ["1-2", "1-3", "1-4", "2-3", "2-4", "3-4"];
+    for (place, name) in names.iter().enumerate() {
+        for off in [0.03, -0.03, 0.1] {
+            let said = told(Some((place, off)));
+            assert!(
+                said.iter().any(|said| said.contains(&format!("without length[{name}] of balls"))),
+                "{name} {off}: {said:?}"
+            );
+        }
+    }
+}
+
 /// One of two balls that is not where its nominal file says.
 #[test]
 fn one_of_few_features_that_is_elsewhere_is_told() {

@@ -408,7 +408,7 @@ fn a_row_that_was_cut_off_is_named() {
         assert!(!told.contains("probe_offset_mm"), "{told}");
         assert_eq!(told.contains("no machine has such errors"), is_refused, "{told}");
     }
-    assert!(!said(&Variant::of(&recipes()["robot-ur5"])).contains("is this row right?"));
+    assert!(!said(&Variant::of(&recipes()["robot-ur5"])).contains("times as much: is it right?"));
 }
 
 /// What an artefact is off by is no length of a stylus.

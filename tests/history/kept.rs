@@ -122,6 +122,24 @@ fn a_history_that_is_not_there_is_told() {
     assert!(listed.status == 2 && listed.stderr.contains("postgres://USER@HOST/DATABASE"), "{}", listed.stderr);
 }
 
+/// A history that cannot be made is told before a run, and not after it.
+#[test]
+fn a_history_whose_folder_is_not_there_is_told_first() {
+    let small = Small::new();
+    let recipe = small.read("recipe.yaml");
+    std::os::unix::fs::symlink("circle.sqlite", small.path("circle.sqlite")).expect("a link");
+    for place in ["absent/own.sqlite", "recipe.yaml/own.sqlite", "circle.sqlite"] {
+        small.write("recipe.yaml", &recipe.replacen("stages:", &format!("history: {place}\nstages:"), 1));
+        for arguments in [&["run", "recipe.yaml", "--out", "out"][..], &["check", "recipe.yaml"]] {
+            let refused = small.abbe(arguments);
+            assert!(matches!(refused.status, 1 | 2), "{place} {arguments:?}: {}", refused.stderr);
+            let name = place.rsplit('/').next().expect("a name");
+            assert!(refused.stderr.contains(name), "{}", refused.stderr);
+            assert!(!small.path("out").exists() && !small.path("absent").exists());
+        }
+    }
+}
+
 /// A password in an address is refused wherever it stands, and no message repeats it.
 #[test]
 fn passwords_stand_in_no_address_and_in_no_message() {

@@ -187,10 +187,12 @@ impl<R: Read> Read for Content<R> {
                 let message = format!("and ends too early, after {} bytes of its content", self.read);
                 self.unreadable(ErrorKind::InvalidData, message)
             }
-            _ => {
-                let message = format!("and broken after {} bytes of its content: {error}", self.read);
+            // What the library says of it helps nobody.
+            ErrorKind::InvalidData | ErrorKind::InvalidInput => {
+                let message = format!("and broken after {} bytes of its content", self.read);
                 self.unreadable(ErrorKind::InvalidData, message)
             }
+            _ => error,
         })?;
         self.read += count as u64;
         match self.read > self.most {

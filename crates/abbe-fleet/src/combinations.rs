@@ -77,6 +77,11 @@ fn table(name: &str, node: &Node<'_>, folder: &Path) -> Result<Vec<(Variables, V
     let path = folder.join(file.text()?);
     let unreadable = |why: String| file.error(At::Value, format!("{} cannot be read: {why}", path.display()));
     let text = abbe_files::read_text(&path, LARGEST_TABLE).map_err(|error| unreadable(abbe_files::why(&error)))?;
+    if let Some(at) = text.bytes().position(|byte| byte == 0) {
+        let line = 1 + text.as_bytes()[..at].iter().filter(|byte| **byte == b'\n').count();
+        let error = Error::usage("a zero byte stands here: this is no text, or it is damaged").at(&path, line, None);
+        return Err(error.help("write the table again"));
+    }
     let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_reader(text.as_bytes());
     let at = |error: &csv::Error| {
         let line = error.position().map_or(1, |position| position.line() as usize);
@@ -125,6 +130,16 @@ mod tests {
     fn combinations(folder: &Path, text: &str) -> Result<Vec<Combination>> {
         let document = Document::parse(Path::new("fleet.yaml"), text)?;
         read(Some(&document.root()), folder)
+    }
+
+    #[test]
+    fn zero_bytes_are_no_rows() {
+        let folder = tempfile::tempdir().unwrap();
+        for content in ["q\n1\n2\n\0\0\0", "q\n\0\0a\n", "\0\0\0\0"] {
+            std::fs::write(folder.path().join("z.csv"), content).unwrap();
+            let error = combinations(folder.path(), "q: { table: z.csv }\n").unwrap_err();
+            assert!(error.message.contains("zero byte"), "{content:?}: {error}");
+        }
     }
 
     #[test]

@@ -45,6 +45,8 @@ pub struct Document {
 impl Document {
     /// Two parsers read the text: one knows the places, the other the types. Both have to accept it.
     pub fn parse(file: &Path, text: &str) -> Result<Self, Error> {
+        // What some editors put before a text.
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let places = places(text).map_err(|refusal| {
             let error = Error::usage(refusal.message).at(file, refusal.mark.0, Some(refusal.mark.1));
             if refusal.at_sign { error.help("a text that starts with @ needs quotes: \"@S1\"") } else { error }

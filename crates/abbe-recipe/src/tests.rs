@@ -273,6 +273,14 @@ fn wrong_recipes_are_refused_with_place_and_help() {
 }
 
 #[test]
+fn a_byte_order_mark_is_passed_over() {
+    let marked = Document::parse(Path::new("a.yaml"), "\u{feff}a: 1\nb: 2\n").unwrap();
+    assert_eq!(marked.root().value, &serde_json::json!({ "a": 1, "b": 2 }));
+    let wrong = Document::parse(Path::new("a.yaml"), "\u{feff}a: [1\n").unwrap_err();
+    assert!(wrong.place.is_some_and(|place| place.line.is_some()));
+}
+
+#[test]
 fn a_good_recipe_is_read() {
     let (folder, path) = folder();
     std::fs::write(&path, GOOD).unwrap();

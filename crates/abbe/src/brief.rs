@@ -203,13 +203,14 @@ pub fn coloured(text: &str) -> Cow<'_, str> {
 }
 
 /// What a line of a verdict begins with, and its colour.
-const COLOURS: [(&str, &str); 10] = [
+const COLOURS: [(&str, &str); 11] = [
     ("PASS:", "1;32"),
     ("PASS, OF THE FIT ALONE:", "1"),
     ("FAIL:", "1;31"),
     ("FAILED:", "1;31"),
     ("INCONCLUSIVE:", "1;33"),
     ("NO LIMIT SET:", "1"),
+    ("NO ESTIMATE:", "1"),
     ("NOTHING JUDGED:", "1"),
     ("  pass:", "32"),
     ("  fail:", "31"),

@@ -286,9 +286,16 @@ fn text(all: &[Tested]) -> String {
 
 fn markdown(all: &[Tested]) -> String {
     // A cell ends at a bar, and a line at its end; markup of files shows as it is.
-    let plain = |text: &str| {
-        let escaped = text.replace('\n', " ").replace('&', "&amp;").replace('<', "&lt;").replace('|', "\\|");
-        escaped.replace('`', "'").replace('*', "\\*").replace('[', "\\[")
+    let plain = |text: &str| -> String {
+        let shown = |letter: char| match letter {
+            '&' => "&amp;".to_owned(),
+            '<' => "&lt;".to_owned(),
+            '`' => "'".to_owned(),
+            '\\' | '*' | '_' | '[' | '|' | '~' | '#' => format!("\\{letter}"),
+            letter if letter.is_control() => " ".to_owned(),
+            letter => letter.to_string(),
+        };
+        text.chars().map(shown).collect()
     };
     let mut text = format!("{MARKDOWN}|---|---|---|\n");
     for tested in all {

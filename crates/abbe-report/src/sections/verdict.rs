@@ -25,6 +25,10 @@ pub fn decided(run: &Run) -> (&'static str, &'static str, String) {
         (_, _, 1.., _) => {
             ("Inconclusive", "unsure", format!("Of {}, {untold} cannot be decided; none is broken.", limits(all)))
         }
+        (.., 0) if run.fits.is_empty() && run.verdicts.is_empty() => {
+            let text = "The recipe has no estimate and no validator: its data were read, and nothing was made of them.";
+            ("No estimate", "none", text.to_owned())
+        }
         (.., 0) => {
             let text = "The recipe sets no limit, so nothing says whether this is good enough. Set limits in a validator: \
                         `limits: { max_um: 10 }`.";

@@ -26,17 +26,26 @@ pub fn read(place: &Path) -> Result<History> {
     }
 }
 
-/// Fails for a file that is there and is no history, and for a name of temporary folders, before anything is made for it.
+/// Fails for a file that is there and is no history, for one whose folder is not there, and for a name of temporary folders, before
+/// anything is made for it.
 pub fn can_add(place: &HistoryPlace) -> Result<()> {
     if let HistoryPlace::File(path) = place {
         refuse_temporary_place(path)?;
     }
-    match place {
-        HistoryPlace::File(path) if path.metadata().is_ok_and(|found| found.len() > 0 || !found.is_file()) => {
-            History::read(path).map(drop)
-        }
-        _ => Ok(()),
+    let HistoryPlace::File(path) = place else { return Ok(()) };
+    match path.metadata() {
+        Ok(found) if found.is_file() && found.len() == 0 => Ok(()),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => match std::fs::metadata(folder_of(path)) {
+            Ok(folder) if folder.is_dir() => Ok(()),
+            Ok(_) => Err(cannot_be_written(path, &io::ErrorKind::NotADirectory.into())),
+            Err(error) => Err(cannot_be_written(path, &error)),
+        },
+        _ => History::read(path).map(drop),
     }
+}
+
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Adds entries.
@@ -56,9 +65,8 @@ fn add_to_file(path: &Path, entries: &[Entry]) -> Result<Vec<Added>> {
     if path.symlink_metadata().is_err() {
         let mut history = History::new(path)?;
         let numbers = added(&mut history, entries)?;
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let cannot = |error: &io::Error| cannot_be_written(path, error);
-        let file = temporary_file(folder).map_err(|error| cannot(&error))?;
+        let file = temporary_file(folder_of(path)).map_err(|error| cannot(&error))?;
         history.save(file.path())?;
         file.as_file().sync_all().map_err(|error| cannot(&error))?;
         match file.persist_noclobber(path) {
