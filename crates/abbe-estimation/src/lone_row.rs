@@ -108,7 +108,8 @@ fn statements(problem: &Problem) -> Vec<((SetIndex, RowIndex), String)> {
     rows.into_iter().filter_map(|(set, row)| Some(((set, row), statement(problem, set, row)?))).collect()
 }
 
-/// What a constraint states: `length[1-2] of balls, which is stated,`.
+/// What a constraint states, by the name of its known input and of its artefact stage: `length[1-2] of balls, which is stated,`. None for
+/// a row that depends on no known input, and where it cannot be evaluated.
 pub fn statement(problem: &Problem, set: SetIndex, row: RowIndex) -> Option<String> {
     let mut work = Evaluation::default();
     problem.evaluate(set, &[row], &[], &mut work).ok()?;
