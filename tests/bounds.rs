@@ -528,3 +528,15 @@ fn without_more_threads_the_results_are_the_same() {
     assert!(none.status == 1 && none.stderr.contains("signals cannot be handled"), "{}", none.stderr);
     assert!(!none.stderr.contains("panicked") && !small.path("none").exists(), "{}", none.stderr);
 }
+
+/// A recipe whose lines end in CR alone is a recipe for those who show machines, too.
+#[test]
+fn a_recipe_with_old_line_ends_shows_its_machine() {
+    let small = Small::new();
+    let shown = |text: &str| {
+        small.write("recipe.yaml", text);
+        small.abbe(&["model", "recipe.yaml"])
+    };
+    let (usual, old) = (shown(SMALL), shown(&SMALL.replace('\n', "\r")));
+    assert_eq!((old.status, &old.stdout), (0, &usual.stdout), "{}", old.stderr);
+}

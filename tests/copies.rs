@@ -433,3 +433,24 @@ fn results_that_were_changed_are_neither_shown_nor_kept() {
         assert_eq!(status, 0, "{command:?}: {said}");
     }
 }
+
+/// Rows of an estimate that somebody has pasted into the file that a validator judges it by.
+#[test]
+fn rows_of_the_fit_in_a_file_that_judges_it_are_told() {
+    let words = "unseen: `fit` was estimated from rows that it is judged by here: 6 rows are the same in every column that both have";
+    let said = |pasted: usize| {
+        let folder = temporary();
+        let mut recipe = Variant::of(&recipes()["cmm-checking-gauge"]);
+        let (seen, judged) = (read(&recipe.path("along-y", "path")), read(&recipe.path("other-beams", "path")));
+        let rows: Vec<&str> = seen.lines().filter(|line| !line.starts_with('#')).skip(1).take(pasted).collect();
+        write(&folder.path().join("judged.csv"), &format!("{}\n{}\n", judged.trim_end(), rows.join("\n")));
+        recipe.stage("other-beams")["path"] = json!(folder.path().join("judged.csv"));
+        let file = recipe.write(folder.path());
+        let out = folder.path().join("out");
+        abbe(folder.path(), &["run".as_ref(), file.as_os_str(), "--out".as_ref(), out.as_os_str()]).stderr
+    };
+    let told = said(6);
+    let told = told.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ");
+    assert!(told.contains(words) && told.contains("judged.csv:"), "{told}");
+    assert!(!said(0).contains("estimated from rows"));
+}

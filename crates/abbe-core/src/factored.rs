@@ -33,7 +33,9 @@ impl FactoredPoses {
         self.terms.extend(terms);
         self.effects = self.terms.iter().map(|(_, effect)| effect + 1).max().unwrap_or(0);
         self.factors.clear();
+        self.factors.reserve(poses * self.terms.len());
         self.position_effects.clear();
+        self.position_effects.reserve(poses * self.effects);
         self.rotation_effects.clear();
     }
 
@@ -89,26 +91,51 @@ impl FactoredPoses {
         turn.into()
     }
 
-    /// Adds the effects of other poses on the rotation; `variable` is what a variable of theirs is here, none where it is left out.
+    /// Adds the effects of the same poses on the rotation; `variable` is what a variable of theirs is here, none where it is left out.
     pub(crate) fn add_rotations(&mut self, other: &Self, variable: impl Fn(usize) -> Option<usize>) {
+        self.add_effects(other, [&[], &other.rotation_effects], variable);
+    }
+
+    /// Adds the effects of the same poses, with the same variables, on the position.
+    pub(crate) fn add_positions(&mut self, other: &Self) {
+        self.add_effects(other, [&other.position_effects, &[]], Some);
+    }
+
+    /// Adds these effects of other poses on position and rotation, none where a list is empty, without those that are zero at all poses.
+    fn add_effects(&mut self, other: &Self, lists: [&[[f64; 3]]; 2], variable: impl Fn(usize) -> Option<usize>) {
         let (poses, own, count) = (self.poses.positions.len(), self.effects, self.terms.len());
-        let kept: Vec<usize> = (0..other.terms.len()).filter(|&term| variable(other.terms[term].0).is_some()).collect();
-        let (mut factors, mut shifts, mut turns) = (Vec::new(), Vec::new(), Vec::new());
+        let at = |list: &[[f64; 3]], pose: usize, effect: usize| list.get(pose * other.effects + effect).copied();
+        let is_there = |list: &[[f64; 3]], effect| {
+            (0..poses).any(|pose| at(list, pose, effect).is_some_and(|effect| effect != [0.0; 3]))
+        };
+        let acting: Vec<usize> =
+            (0..other.effects).filter(|&effect| lists.iter().any(|list| is_there(list, effect))).collect();
+        let (mut kept, mut terms) = (Vec::new(), Vec::new());
+        for (term, &(of, effect)) in other.terms.iter().enumerate() {
+            if let (Some(of), Ok(place)) = (variable(of), acting.binary_search(&effect)) {
+                kept.push(term);
+                terms.push((of, own + place));
+            }
+        }
+        let mut factors = Vec::with_capacity(poses * (count + kept.len()));
+        let mut joined = lists.map(|_| Vec::with_capacity(poses * (own + acting.len())));
         for pose in 0..poses {
             factors.extend_from_slice(&self.factors[pose * count..(pose + 1) * count]);
             factors.extend(kept.iter().map(|term| other.factors[pose * other.terms.len() + term]));
-            shifts.extend_from_slice(&self.position_effects[pose * own..(pose + 1) * own]);
-            shifts.resize((pose + 1) * (own + other.effects), [0.0; 3]);
-            match self.rotation_effects.is_empty() {
-                true => turns.extend(std::iter::repeat_n([0.0; 3], own)),
-                false => turns.extend_from_slice(&self.rotation_effects[pose * own..(pose + 1) * own]),
+            for ((joined, before), list) in
+                joined.iter_mut().zip([&self.position_effects, &self.rotation_effects]).zip(lists)
+            {
+                match before.is_empty() {
+                    true => joined.extend(std::iter::repeat_n([0.0; 3], own)),
+                    false => joined.extend_from_slice(&before[pose * own..(pose + 1) * own]),
+                }
+                joined.extend(acting.iter().map(|&effect| at(list, pose, effect).unwrap_or_default()));
             }
-            turns.extend_from_slice(&other.rotation_effects[pose * other.effects..(pose + 1) * other.effects]);
         }
-        let terms = kept.iter().map(|&term| other.terms[term]);
-        self.terms.extend(terms.filter_map(|(of, effect)| Some((variable(of)?, own + effect))));
-        (self.factors, self.position_effects, self.rotation_effects) = (factors, shifts, turns);
-        self.effects += other.effects;
+        self.terms.extend(terms);
+        self.factors = factors;
+        [self.position_effects, self.rotation_effects] = joined;
+        self.effects += acting.len();
     }
 }
 

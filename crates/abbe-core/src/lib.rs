@@ -39,8 +39,8 @@ pub use observations::{
 pub use parameter::{Parameter, ParameterRole, ProbeTerm};
 pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
 pub use problem::{
-    Block, CHUNK, CompactBlock, Considered, DeclaredTie, Evaluation, Input, ObservationSet, Owner, Prior, Problem,
-    RepeatedTogether, Tie, Unknown,
+    Block, CHUNK, Chunk, CompactBlock, Considered, DeclaredTie, Evaluation, Input, ObservationSet, Owner, Prior,
+    Problem, RepeatedTogether, Tie, Unknown,
 };
 pub use quantities::Quantities;
 pub use registry::{Build, Constructor, Context, EstimateSource, Kind, Origin, Plugin, Provider, Registry};

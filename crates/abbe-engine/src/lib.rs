@@ -67,5 +67,5 @@ pub use prepare::{Prepared, prepare, prepared};
 pub use record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, Remark, RunRecord};
 pub use saved::{model_of, model_with_log};
 pub use simulate::{Simulated, SimulatedFile, UnchangedFile};
-pub use staging::{MadeFolders, refuse_temporary_place, temporary_file};
+pub use staging::{MadeFolders, Staging, refuse_temporary_place, temporary_file};
 pub use understood::Understood;

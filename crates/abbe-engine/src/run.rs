@@ -71,6 +71,7 @@ impl Prepared {
         twice
             .iter()
             .chain(&self.seen_before(&unseen, &evidence, &digests))
+            .chain(&self.pasted(&problems, &unseen))
             .for_each(|sentence| tracing::warn!("{sentence}"));
         // Before the first fit, so that a feature that no artefact has is found before a long run.
         self.nothing_left_over(&data, &taken)?;

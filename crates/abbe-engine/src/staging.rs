@@ -15,7 +15,7 @@ const PREFIX: &str = ".abbe-partial-";
 const RANDOM: usize = 12;
 
 /// A temporary folder with a lock on it. Dropping it removes it, with those folders above it that were made for it and are empty.
-pub(crate) struct Staging {
+pub struct Staging {
     folder: Option<tempfile::TempDir>,
     lock: Option<File>,
     made: MadeFolders,

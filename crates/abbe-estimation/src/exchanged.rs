@@ -17,7 +17,7 @@ pub(crate) fn exchanged(problem: &Problem) -> Option<String> {
     let pairs = pairs(&problem.model.info().axes).into_iter().filter(|pair| stays_within_travel(&few, pair));
     let tried = pairs.filter_map(|[one, other]| {
         let exchanged = with_commands(&few, |status| status.swap(one.status, other.status));
-        let after = Fitted::of(&exchanged).filter(|after| now.is_explained_by(after))?;
+        let after = Fitted::of(&exchanged).filter(|after| now.is_explained_by_exchange(after))?;
         is_determined(&exchanged).then_some((after, [one, other]))
     });
     let (after, [one, other]) = tried.min_by(|(one, _), (other, _)| one.squares.total_cmp(&other.squares))?;

@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use abbe_core::{
-    CHUNK, EquationIndex, Evaluation, FactoredPoses, IndexRange, ObservationSet, Owner, ParameterRole, PoseBatch,
-    Problem, Quantity, Result, RowIndex, SetIndex, StatusRole, Unit, Unknown, Variable,
+    EquationIndex, Evaluation, FactoredPoses, IndexRange, ObservationSet, Owner, ParameterRole, PoseBatch, Problem,
+    Quantity, Result, RowIndex, SetIndex, StatusRole, Unit, Unknown, Variable,
 };
 use abbe_numerics::{Factor, LeastSquares};
 
@@ -167,16 +167,16 @@ pub(crate) fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<
             wanted.push(Variable::Parameter(index));
         }
     }
-    let mut squares = vec![0.0; problem.unknowns.len()];
-    let mut squares_of_machine = vec![0.0; machine.len()];
     let angles = machine.iter().map(|&(column, _)| f64::from(problem.unknowns[column].unit == Unit::RAD));
     let angles: Vec<f64> = angles.collect();
-    let (mut work, mut poses) = (Evaluation::default(), FactoredPoses::default());
-    let mut terms = vec![0.0; machine.len()];
-    let mut first = EquationIndex(0);
-    for (index, set) in SetIndex::enumerate(&problem.sets) {
-        let own = columns_of(problem, index);
-        for rows in set.rows.chunks(CHUNK) {
+    let weight = |equation: EquationIndex| kept.map_or(1.0, |kept| kept[equation]) / uncertainties[equation];
+    let found = problem.in_parts(wanted.len(), |chunks| {
+        let mut squares = Squares { own: vec![0.0; problem.unknowns.len()], machine: vec![0.0; machine.len()] };
+        let (mut work, mut poses) = (Evaluation::default(), FactoredPoses::default());
+        let mut terms = vec![0.0; machine.len()];
+        for &(index, rows, first) in chunks {
+            let set = &problem.sets[index];
+            let own = columns_of(problem, index);
             problem.evaluate(index, rows, &[], &mut work)?;
             let statuses: Vec<f64> = set.poses_of(rows).flat_map(|pose| set.poses().row(pose)).copied().collect();
             let batch =
@@ -188,28 +188,37 @@ pub(crate) fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<
                 // A model may give no orientations: then what is an angle turns by itself.
                 problem.model.factored(PoseBatch { orientation: false, ..batch }, &mut poses)?;
             }
-            let weights: Vec<f64> = IndexRange::new(first, work.equations.residuals().len())
-                .map(|equation| kept.map_or(1.0, |kept| kept[equation]) / uncertainties[equation])
-                .collect();
+            let weights = IndexRange::new(first, work.equations.residuals().len()).map(weight);
+            let weights: Vec<f64> = weights.collect();
             let levers = Levers::new(set, rows, &work);
             for (equation, weight) in weights.iter().enumerate() {
                 levers.machine_terms(equation, &poses, &angles, &mut terms);
-                let squares = squares_of_machine.iter_mut().zip(&terms);
-                squares.for_each(|(square, term)| *square += (term * weight).powi(2));
+                squares.machine.iter_mut().zip(&terms).for_each(|(square, term)| *square += (term * weight).powi(2));
             }
             for &(equation, unknown, derivative) in work.equations.by_own() {
                 if let Some(column) = own[unknown] {
                     let term = levers.own_term(equation, problem.unknowns[column].unit).max(derivative.abs());
-                    squares[column] += (term * weights[equation]).powi(2);
+                    squares.own[column] += (term * weights[equation]).powi(2);
                 }
             }
-            first += weights.len();
+        }
+        Ok(squares)
+    });
+    let mut squares = vec![0.0; problem.unknowns.len()];
+    for part in found {
+        let Squares { own, machine: of_machine } = part?;
+        squares.iter_mut().zip(own).for_each(|(sum, own)| *sum += own);
+        for ((column, factor), square) in machine.iter().zip(of_machine) {
+            squares[*column] += factor * factor * square;
         }
     }
-    for ((column, factor), square) in machine.into_iter().zip(squares_of_machine) {
-        squares[column] += factor * factor * square;
-    }
     Ok(squares.into_iter().map(f64::sqrt).collect())
+}
+
+/// Sums of squares over some rows, by unknown and by parameter of the machine.
+struct Squares {
+    own: Vec<f64>,
+    machine: Vec<f64>,
 }
 
 /// The column of every own unknown of a set; none for those that are not estimated.

@@ -42,6 +42,65 @@ pub fn copied_stretches(
     stretches.map(|run| (run.len(), [run[0].0, run[0].1])).collect()
 }
 
+/// Rows of the same content at which a stretch is tried to begin, at most.
+const TRIED: usize = 16;
+
+/// Stretches of rows of two data sets, at least so many in turn in both, that are the same in all columns that both have, but for times
+/// and labels that count the rows or name the file: how many each has, and the first row of it in either. None where fewer than two
+/// columns of numbers are compared.
+pub fn stretches_in_both(
+    [one, other]: [&Dataset; 2],
+    [rows, other_rows]: [&[DataRow]; 2],
+    in_turn: usize,
+) -> Vec<(usize, [DataRow; 2])> {
+    let is_compared = |column: &&Column| {
+        let header = &column.header;
+        header.quantity != Quantity::Time && header.name != "file" && !counts_rows(column)
+    };
+    let pairs = one.columns.iter().filter(is_compared).filter_map(|column| {
+        let same = |other: &&Column| other.header.name == column.header.name;
+        Some((column, other.columns.iter().filter(is_compared).find(same)?))
+    });
+    let (compared, with): (Vec<&Column>, Vec<&Column>) = pairs.unzip();
+    let numbers = compared.iter().filter(|column| matches!(column.values, Values::Numbers(_))).count();
+    if numbers < 2 {
+        return Vec::new();
+    }
+    let mut known: BTreeMap<u64, Vec<usize>> = BTreeMap::new();
+    for (place, row) in rows.iter().enumerate() {
+        known.entry(digest(&compared, *row)).or_default().push(place);
+    }
+    let is_same = |place: usize, other: usize| match (rows.get(place), other_rows.get(other)) {
+        (Some(row), Some(other)) => cells(&compared, *row).eq(cells(&with, *other)),
+        _ => false,
+    };
+    let (mut found, mut next) = (Vec::new(), 0);
+    while let Some(other) = other_rows.get(next) {
+        let places = known.get(&digest(&with, *other)).into_iter().flatten().take(TRIED);
+        let lengths = places.map(|&place| ((0..).take_while(|more| is_same(place + more, next + more)).count(), place));
+        match lengths.max().filter(|(count, _)| *count >= in_turn) {
+            Some((count, place)) => {
+                found.push((count, [rows[place], *other]));
+                next += count;
+            }
+            None => next += 1,
+        }
+    }
+    found
+}
+
+/// The cells of a row in some columns.
+fn cells<'a>(columns: &'a [&'a Column], row: DataRow) -> impl Iterator<Item = Cell<'a>> {
+    columns.iter().map(move |column| Cell::of(column, row))
+}
+
+/// Rows are kept by a digest, which is small; whether they are the same is seen cell by cell.
+fn digest(columns: &[&Column], row: DataRow) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    cells(columns, row).for_each(|cell| cell.hash(&mut hasher));
+    hasher.finish()
+}
+
 /// Rows that are the same as an earlier one in these columns, each with the last one of these.
 fn same_in(
     data: &Dataset,
@@ -50,17 +109,11 @@ fn same_in(
 ) -> Vec<(DataRow, DataRow)> {
     let compared = data.columns.iter().filter(|column| !counts_rows(column) && is_compared(column));
     let compared: Vec<&Column> = compared.collect();
-    let cells = |row: DataRow| compared.iter().map(move |column| Cell::of(column, row));
-    let digest = |row: DataRow| {
-        let mut hasher = DefaultHasher::new();
-        cells(row).for_each(|cell| cell.hash(&mut hasher));
-        hasher.finish()
-    };
-    // Rows are kept by a digest, which is small; whether they are the same is seen cell by cell.
+    let same = |one: &DataRow, other: DataRow| cells(&compared, *one).eq(cells(&compared, other));
     let mut seen: BTreeMap<u64, DataRow> = BTreeMap::new();
     let mut repeated = Vec::new();
     for row in rows {
-        if let Some(earlier) = seen.insert(digest(row), row).filter(|earlier| cells(*earlier).eq(cells(row))) {
+        if let Some(earlier) = seen.insert(digest(&compared, row), row).filter(|earlier| same(earlier, row)) {
             repeated.push((earlier, row));
         }
     }

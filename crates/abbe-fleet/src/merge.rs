@@ -4,7 +4,7 @@ mod blocks;
 mod keeper;
 mod names;
 
-use std::fs::{self, File, TryLockError};
+use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -96,7 +96,7 @@ pub fn merge(
         merged.entries -= keeper.finish()?;
     }
     tables.finish(&mut own)?;
-    own.finish()?;
+    own.finish(files)?;
     folder.keep();
     Ok(merged)
 }
@@ -458,15 +458,9 @@ impl Merging<'_> {
     }
 
     fn file(&mut self, name: &str, calibration: &Calibration) -> Result<()> {
-        let folder = self.out.join("calibrations");
-        let path = folder.join(self.names.of(name, &calibration.estimate));
-        let written = fs::create_dir_all(&folder).and_then(|()| {
-            let mut file = abbe_engine::temporary_file(&folder)?;
-            let text = calibration.to_json().map_err(|error| std::io::Error::other(error.message))?;
-            std::io::Write::write_all(&mut file, text.as_bytes())?;
-            Ok(file)
-        });
-        self.own.put(written.map_err(|error| unwritable(&path, &error))?, &path)
+        let path = self.out.join("calibrations").join(self.names.of(name, &calibration.estimate));
+        let text = calibration.to_json().map_err(|error| unwritable(&path, &std::io::Error::other(error.message)))?;
+        self.own.keep_ready(text.as_bytes(), &path)
     }
 }
 

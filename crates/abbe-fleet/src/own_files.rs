@@ -1,13 +1,15 @@
 //! The files of merges in their folder: a merge replaces what an earlier one wrote, as long as nobody has changed it since.
 
 use std::collections::BTreeSet;
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use abbe_core::{Error, Result};
+use abbe_engine::Staging;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
+use tempfile::NamedTempFile;
 
 use crate::hash::sha256_of;
 use crate::unwritable;
@@ -30,6 +32,9 @@ pub struct OwnFiles {
     known: BTreeSet<Written>,
     now: BTreeSet<Written>,
     record: Option<File>,
+    /// Files that wait for the end of the merge, under their names in a folder of their own.
+    waiting: Option<Staging>,
+    names: Vec<PathBuf>,
 }
 
 impl OwnFiles {
@@ -49,7 +54,14 @@ impl OwnFiles {
         if known.is_empty() && !text.trim().is_empty() {
             return Err(of_somebody(&path));
         }
-        Ok(Self { folder: folder.to_owned(), known, now: BTreeSet::new(), record: None })
+        Ok(Self {
+            folder: folder.to_owned(),
+            known,
+            now: BTreeSet::new(),
+            record: None,
+            waiting: None,
+            names: Vec::new(),
+        })
     }
 
     /// The record, to which lines are added; what a killed merge has left of a line is closed.
@@ -79,13 +91,18 @@ impl OwnFiles {
     ///
     /// # Errors
     /// As [`OwnFiles::check`]; and if the disk does not take it.
-    pub fn put(&mut self, file: tempfile::NamedTempFile, path: &Path) -> Result<()> {
+    pub fn put(&mut self, file: NamedTempFile, path: &Path) -> Result<()> {
+        let temporary = file.path().to_owned();
+        self.put_by(&temporary, path, || file.persist(path).map(drop).map_err(|error| error.error))
+    }
+
+    fn put_by(&mut self, file: &Path, path: &Path, put: impl FnOnce() -> io::Result<()>) -> Result<()> {
         self.check(path)?;
         let write = |record: &mut Self| -> io::Result<Written> {
-            let own = Written { file: record.name(path), sha256: sha256_of(file.path())? };
+            let own = Written { file: record.name(path), sha256: sha256_of(file)? };
             // Before it is there: a merge that is killed leaves no file that the next one does not know.
             record.record()?.write_all((json!(own).to_string() + "\n").as_bytes())?;
-            file.persist(path).map_err(|error| error.error)?;
+            put()?;
             Ok(own)
         };
         let own = write(self).map_err(|error| unwritable(path, &error))?;
@@ -93,13 +110,44 @@ impl OwnFiles {
         Ok(())
     }
 
-    /// Writes the record anew: what this merge wrote, and files of earlier ones that are still there.
+    /// Writes a file that [`finish`](Self::finish) puts at its place: a merge that ends before has changed nothing.
+    ///
+    /// # Errors
+    /// As [`OwnFiles::check`]; and if the disk does not take it.
+    pub fn keep_ready(&mut self, content: &[u8], path: &Path) -> Result<()> {
+        self.check(path)?;
+        let waiting = match self.waiting.take() {
+            Some(waiting) => waiting,
+            None => Staging::new(&self.folder, path)?,
+        };
+        let name = PathBuf::from(self.name(path));
+        let written = self.waiting.insert(waiting).write(&name, content);
+        self.names.push(name);
+        written.map_err(|error| unwritable(path, &error))
+    }
+
+    /// Puts the files that wait at their places, and writes the record anew: what this merge wrote, and files of earlier ones that are
+    /// still there. With `is_all`, those of earlier ones that are as they were written and were not written again are removed: they are of
+    /// jobs that the fleet no longer has.
     ///
     /// # Errors
     /// If the disk does not take it.
-    pub fn finish(self) -> Result<()> {
+    pub fn finish(mut self, is_all: bool) -> Result<()> {
+        let waiting = self.waiting.take();
+        for name in std::mem::take(&mut self.names) {
+            let (file, path) =
+                (waiting.as_ref().map_or(Path::new(""), Staging::path).join(&name), self.folder.join(&name));
+            let folder = path.parent().unwrap_or(&self.folder).to_owned();
+            self.put_by(&file, &path, || fs::create_dir_all(folder).and_then(|()| fs::rename(&file, &path)))?;
+        }
         let path = self.folder.join(RECORD);
         let names: BTreeSet<&String> = self.now.iter().map(|own| &own.file).collect();
+        for own in self.known.iter().filter(|own| is_all && !names.contains(&own.file)) {
+            let outdated = self.folder.join(&own.file);
+            if sha256_of(&outdated).is_ok_and(|sha256| sha256 == own.sha256) {
+                fs::remove_file(&outdated).map_err(|error| unwritable(&outdated, &error))?;
+            }
+        }
         let is_there = |own: &&Written| !names.contains(&own.file) && self.folder.join(&own.file).exists();
         let all: BTreeSet<&Written> = self.known.iter().filter(is_there).chain(&self.now).collect();
         let lines: String = all.into_iter().map(|own| json!(own).to_string() + "\n").collect();
@@ -148,16 +196,49 @@ mod tests {
         drop(own);
         let mut own = OwnFiles::of(at).unwrap();
         put(at, &mut own, "a.csv", "3").unwrap();
-        own.finish().unwrap();
+        own.finish(false).unwrap();
         let mut own = OwnFiles::of(at).unwrap();
         fs::write(at.join("a.csv"), "3, and more").unwrap();
         assert!(put(at, &mut own, "a.csv", "4").is_err());
         put(at, &mut own, "b.csv", "4").unwrap();
-        own.finish().unwrap();
+        own.finish(false).unwrap();
         assert_eq!(fs::read_to_string(at.join("mine.csv")).unwrap(), "mine");
         assert_eq!(fs::read_to_string(at.join("a.csv")).unwrap(), "3, and more");
         // A record of somebody else is none.
         fs::write(at.join(RECORD), "{\"file\": 1}\n").unwrap();
         assert!(OwnFiles::of(at).is_err());
+    }
+
+    #[test]
+    fn files_that_wait_come_at_the_end_and_outdated_ones_go() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = folder.path();
+        let names = |folder: &Path| {
+            let mut names: Vec<String> = fs::read_dir(folder).map_or_else(
+                |_| vec!["no folder".to_owned()],
+                |all| all.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect(),
+            );
+            names.sort();
+            names
+        };
+        let inner = at.join("calibrations");
+        let mut own = OwnFiles::of(at).unwrap();
+        own.keep_ready(b"1", &inner.join("one")).unwrap();
+        drop(own);
+        assert_eq!(names(&inner), ["no folder"]);
+        let merge = |all: &[&str], is_all: bool| {
+            let mut own = OwnFiles::of(at).unwrap();
+            all.iter().for_each(|name| own.keep_ready(name.as_bytes(), &inner.join(name)).unwrap());
+            own.finish(is_all).unwrap();
+            names(&inner)
+        };
+        assert_eq!(merge(&["one", "two", "three"], true), ["one", "three", "two"]);
+        assert_eq!(merge(&["one"], false), ["one", "three", "two"]);
+        // Somebody has changed one of those that are outdated: it is theirs now.
+        fs::write(inner.join("two"), "mine").unwrap();
+        assert_eq!(merge(&["one"], true), ["one", "two"]);
+        assert_eq!(fs::read_to_string(inner.join("two")).unwrap(), "mine");
+        let mut own = OwnFiles::of(at).unwrap();
+        assert!(own.keep_ready(b"2", &inner.join("two")).is_err());
     }
 }

@@ -94,7 +94,8 @@ impl Machine {
             return made.map_err(|error| Error { place: None, stage: None, ..error });
         }
         let content = abbe_files::read_text(&path, abbe_files::LARGEST_TEXT).map_err(unreadable)?;
-        if content.lines().any(|line| line.starts_with("stages:")) {
+        // Lines may end in CR alone.
+        if content.split(['\n', '\r']).any(|line| line.starts_with("stages:")) {
             return prepare(&path, &libraries.registry(Some(&path))?);
         }
         let registry = libraries.registry(None)?;

@@ -25,6 +25,7 @@ struct Work {
 /// A term of an error, which stands at 6 x slot + component: the value of a coefficient times a function.
 struct Term {
     error: usize,
+    basis: usize,
     function: usize,
     value: f64,
     /// Whether it is the first term of its error.
@@ -74,6 +75,7 @@ impl SerialChain {
         let coefficients = used.iter().flat_map(|&basis| &self.bases[basis].coefficients);
         let terms = coefficients.map(|(parameter, place)| Term {
             error: 6 * place.slot + place.component,
+            basis: place.basis,
             function: place.function,
             value: values[*parameter],
             is_first: true,
@@ -111,19 +113,25 @@ impl SerialChain {
         };
         let terms = self.terms(&used, values);
         let width = work.poses.poses();
-        // Functions that no status is an argument of have one value at all poses.
-        let (used, same): (Vec<usize>, Vec<usize>) = used.iter().partition(|&&basis| self.bases[basis].is_of_status());
+        // Functions of what is the same at all poses have one value: of a run along an axis those of the other axes.
+        let changes = changes(statuses, columns);
+        let varies = |basis: usize| self.bases[basis].follows(&changes);
+        let (used, same): (Vec<usize>, Vec<usize>) = used.iter().partition(|&&basis| varies(basis));
+        let (terms, of_all): (Vec<_>, Vec<_>) = terms
+            .chunk_by(|one, other| one.error == other.error)
+            .partition(|of_error| of_error.iter().any(|term| varies(term.basis)));
         if let Some(status) = statuses.chunks_exact(columns).next() {
             for place in 0..width {
                 self.functions_of(&same, &mut work, place, At { status, values }).map_err(|error| error.at_pose(0))?;
             }
+            give_errors(&mut work, &of_all);
         }
         for (group, statuses) in statuses.chunks(columns * width).enumerate() {
             for (place, status) in statuses.chunks_exact(columns).enumerate() {
                 self.give(&mut work, place, At { status, values }, &used)
                     .map_err(|error| error.at_pose(group * width + place))?;
             }
-            self.give_errors(&mut work, &terms);
+            give_errors(&mut work, &terms);
             let Work { errors, commands, tips, poses, .. } = &mut work;
             let given = Given { commands, errors, tips };
             match self.first_order {
@@ -163,18 +171,30 @@ impl SerialChain {
         }
         Ok(())
     }
+}
 
-    /// Writes the errors of all poses that are evaluated together, whose functions are known. Errors without a term stay zero.
-    fn give_errors(&self, work: &mut Work, terms: &[Term]) {
-        let Work { functions, errors, poses, .. } = work;
-        let width = poses.poses();
-        for term in terms {
-            let functions = &functions[term.function * width..(term.function + 1) * width];
-            let errors = errors[term.error * width..(term.error + 1) * width].iter_mut().zip(functions);
-            match term.is_first {
-                true => errors.for_each(|(error, function)| *error = term.value * function),
-                false => errors.for_each(|(error, function)| *error += term.value * function),
-            }
+/// The columns of statuses that differ from pose to pose.
+fn changes(statuses: &[f64], columns: usize) -> Vec<bool> {
+    let mut changes = vec![false; columns];
+    for status in statuses.chunks_exact(columns) {
+        for (changes, (now, first)) in changes.iter_mut().zip(status.iter().zip(statuses)) {
+            *changes |= now.to_bits() != first.to_bits();
+        }
+    }
+    changes
+}
+
+/// Writes errors, each the sum of some terms, of all poses that are evaluated together, whose functions are known. Errors without a
+/// term stay zero.
+fn give_errors(work: &mut Work, errors_of: &[&[Term]]) {
+    let Work { functions, errors, poses, .. } = work;
+    let width = poses.poses();
+    for term in errors_of.iter().copied().flatten() {
+        let functions = &functions[term.function * width..(term.function + 1) * width];
+        let errors = errors[term.error * width..(term.error + 1) * width].iter_mut().zip(functions);
+        match term.is_first {
+            true => errors.for_each(|(error, function)| *error = term.value * function),
+            false => errors.for_each(|(error, function)| *error += term.value * function),
         }
     }
 }

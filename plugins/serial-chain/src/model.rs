@@ -237,9 +237,10 @@ pub(crate) struct Room {
 }
 
 impl FunctionBasis {
-    /// Whether its functions, or the range where they are known, depend on the status of a pose.
-    pub fn is_of_status(&self) -> bool {
-        self.range.is_some() || self.arguments.iter().any(|source| matches!(source, Source::Status(_)))
+    /// Whether its functions, or the range where they are known, follow columns of the status that change.
+    pub fn follows(&self, changes: &[bool]) -> bool {
+        let of_range = self.range.as_ref().is_some_and(|range| changes[range.axis]);
+        of_range || self.arguments.iter().any(|source| matches!(source, Source::Status(column) if changes[*column]))
     }
 
     pub fn arguments_at<'a>(&self, status: &'a [f64], values: &[f64], room: &'a mut Room) -> &'a [f64] {

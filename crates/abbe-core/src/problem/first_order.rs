@@ -13,15 +13,15 @@ impl Problem {
     /// derivative at the nominal values times value. Parameters with a nominal value that is not zero (shapes of functions)
     /// keep their current values, so that the functions are the current ones.
     ///
-    /// Positions are exact. Derivatives to shapes and commands are those of the exact rotation, which differ by products
-    /// of errors.
+    /// Positions are exact, and without derivatives ([`add_positions`](Self::add_positions)): readings of angles have none.
+    /// Derivatives to shapes and commands are those of the exact rotation, which differ by products of errors.
     pub(crate) fn first_order(&self, statuses: &[f64], wanted: &[Variable], out: &mut FactoredPoses) -> Result<()> {
         let nominal = &self.model.info().nominal;
         let linear = |variable: &Variable| match variable {
             Variable::Parameter(index) => Some(*index).filter(|index| nominal[*index] == 0.0),
             Variable::Command(_) => None,
         };
-        let as_is = PoseBatch { statuses, values: &self.machine_values, wanted, orientation: false };
+        let as_is = PoseBatch { statuses, values: &self.machine_values, wanted: &[], orientation: false };
         self.model.factored(as_is, out)?;
         let mut rotations = FactoredPoses::default();
         let others: Vec<usize> = (0..wanted.len()).filter(|&index| linear(&wanted[index]).is_none()).collect();
@@ -57,6 +57,15 @@ impl Problem {
             }
         }
         out.add_rotations(&rotations, |variable| place[turning[variable]]);
+        Ok(())
+    }
+
+    /// Adds the effects on the positions of such poses.
+    pub(crate) fn add_positions(&self, statuses: &[f64], wanted: &[Variable], out: &mut FactoredPoses) -> Result<()> {
+        let mut positions = FactoredPoses::default();
+        let as_is = PoseBatch { statuses, values: &self.machine_values, wanted, orientation: false };
+        self.model.factored(as_is, &mut positions)?;
+        out.add_positions(&positions);
         Ok(())
     }
 }

@@ -1,19 +1,13 @@
 //! Derivatives of a problem times what its residuals count for, summed over all rows: no row of derivatives is made.
 
 use super::evaluation::Evaluation;
-use super::linearise::{CHUNK, Columns};
+use super::linearise::{Chunk, Columns};
 use super::{ObservationSet, Problem};
-use crate::index::{EquationIndex, RowIndex, SetIndex};
-use abbe_settings::{Result, in_parallel};
+use crate::index::{EquationIndex, RowIndex};
+use abbe_settings::Result;
 
 /// What a residual counts for, mm or rad.
 type Counts<'a> = dyn Fn(EquationIndex, f64) -> f64 + Sync + 'a;
-
-/// Parts of the rows that are summed by themselves: their number, and with it the last digits, do not depend on that of threads.
-const PARTS: usize = 8;
-
-/// Some rows of a set, with their first equation.
-type Chunk<'a> = (SetIndex, &'a [RowIndex], EquationIndex);
 
 /// Sums of some rows, and their residuals.
 struct Sums {
@@ -28,20 +22,9 @@ impl Problem {
     /// Of residuals that count for `residual / uncertainty^2` it is half of the gradient of the weighted sum of squares, in the inverse units
     /// of the unknowns: what [`linearise`](Self::linearise) tells, without its rows. Fails as that does.
     pub fn gradient(&self, x: &[f64], counts: &Counts<'_>) -> Result<(Vec<f64>, Vec<f64>)> {
-        let at = self.with_values(x);
-        let (columns, mut first) = (Columns::of(self), EquationIndex(0));
-        let sets = SetIndex::enumerate(&at.sets);
-        let chunks = sets.flat_map(|(index, set)| set.rows.chunks(CHUNK).map(move |rows| (index, set, rows)));
-        let chunks = chunks.map(|(index, set, rows)| {
-            let start = first;
-            first += set.equations_of(rows).count();
-            (index, rows, start)
-        });
-        let chunks: Vec<Chunk<'_>> = chunks.collect();
-        let parts: Vec<&[Chunk<'_>]> = chunks.chunks(chunks.len().div_ceil(PARTS).max(1)).collect();
-        let threads = self.threads(self.unknowns.len());
-        let sums = in_parallel(&parts, Some(threads), |part| at.sums_of(part, &columns, counts));
-        let (mut gradient, mut residuals) = (vec![0.0; self.unknowns.len()], Vec::with_capacity(first.0));
+        let (at, columns) = (self.with_values(x), Columns::of(self));
+        let sums = at.in_parts(self.unknowns.len(), |part| at.sums_of(part, &columns, counts));
+        let (mut gradient, mut residuals) = (vec![0.0; self.unknowns.len()], Vec::with_capacity(self.equations()));
         for part in sums {
             let part = part?;
             gradient.iter_mut().zip(part.gradient).for_each(|(sum, own)| *sum += own);

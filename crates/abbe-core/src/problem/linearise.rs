@@ -9,10 +9,16 @@ use super::{Owner, Problem};
 use crate::index::{EquationIndex, IndexRange, ListedBy, RowIndex, SetIndex};
 use crate::model::{PoseBatch, Poses, Variable};
 use crate::observations::{Contact, Equations, Orientation};
-use abbe_settings::{Error, Result, free_threads};
+use abbe_settings::{Error, Result, free_threads, in_parallel};
 
 /// Rows that are evaluated together: enough to amortise a call, few enough for their derivatives to stay in the cache.
 pub const CHUNK: usize = 128;
+
+/// Parts of the rows that are summed by themselves: their number, and with it the last digits, do not depend on that of threads.
+const PARTS: usize = 8;
+
+/// Rows of a set that are evaluated together, with their first equation.
+pub type Chunk<'a> = (SetIndex, &'a [RowIndex], EquationIndex);
 
 /// Residuals and derivatives of some equations of a problem; equations come in the order of sets and rows.
 #[derive(Debug)]
@@ -184,6 +190,21 @@ impl Problem {
         if work < WORTH_A_THREAD { 1 } else { free_threads() }
     }
 
+    /// What `work` makes of parts of the rows, in their order. Threads share them if derivatives to so many variables are worth it.
+    pub fn in_parts<R: Send>(&self, variables: usize, work: impl Fn(&[Chunk<'_>]) -> R + Sync) -> Vec<R> {
+        let mut first = EquationIndex(0);
+        let sets = SetIndex::enumerate(&self.sets);
+        let chunks = sets.flat_map(|(index, set)| set.rows.chunks(CHUNK).map(move |rows| (index, set, rows)));
+        let chunks = chunks.map(|(index, set, rows)| {
+            let start = first;
+            first += set.equations_of(rows).count();
+            (index, rows, start)
+        });
+        let chunks: Vec<Chunk<'_>> = chunks.collect();
+        let parts: Vec<&[Chunk<'_>]> = chunks.chunks(chunks.len().div_ceil(PARTS).max(1)).collect();
+        in_parallel(&parts, Some(self.threads(variables)), |part| work(part))
+    }
+
     /// Residuals and derivatives of some rows of a set at the problem's own values.
     fn linearise_rows(
         &self,
@@ -228,7 +249,12 @@ impl Problem {
         let set = &self.sets[index];
         self.monitor.check()?;
         self.evaluate_factored(set, &columns.wanted, rows, work).map_err(|error| self.of_row(index, rows, error))?;
-        self.equations_of(set, rows, &work.factored.poses, &mut work.equations)
+        self.equations_of(set, rows, &work.factored.poses, &mut work.equations)?;
+        let of_positions = || work.equations.by_position.iter().any(|by| *by != [0.0; 3]);
+        if set.info().orientation == Orientation::FirstOrder && of_positions() {
+            self.add_positions(&work.statuses, &columns.wanted, &mut work.factored)?;
+        }
+        Ok(())
     }
 
     /// Evaluates poses and equations of some rows of a set at the problem's own values.
@@ -271,6 +297,7 @@ impl Problem {
         match set.info().orientation {
             Orientation::FirstOrder => {
                 self.first_order(&work.statuses, wanted, &mut work.factored)?;
+                self.add_positions(&work.statuses, wanted, &mut work.factored)?;
                 work.factored.write(wanted.len(), &mut work.poses);
                 Ok(())
             }

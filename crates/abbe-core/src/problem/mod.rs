@@ -26,7 +26,7 @@ use considered::{candidates, check_constraints, consider_parameters, inputs};
 
 pub use considered::{Considered, Input, Prior};
 pub use evaluation::Evaluation;
-pub use linearise::{Block, CHUNK, CompactBlock};
+pub use linearise::{Block, CHUNK, Chunk, CompactBlock};
 pub use rows::{ObservationSet, RepeatedTogether};
 pub use tie::{DeclaredTie, Tie};
 
