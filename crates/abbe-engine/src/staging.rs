@@ -215,9 +215,17 @@ fn would_be_removed(path: &Path, name: &str) -> Error {
     Error::usage(message).help("give it another name")
 }
 
-/// Removes the temporary folders and files whose owner is dead.
+/// What SQLite calls the journal of a data base, behind its name.
+const JOURNAL: &str = "-journal";
+
+/// Removes the temporary folders and files whose owner is dead, and journals of such files that are gone.
 fn remove_abandoned(parent: &Path) -> io::Result<()> {
     for entry in fs::read_dir(parent)?.flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if let Some(of) = name.strip_suffix(JOURNAL).filter(|of| is_temporary(of)) {
+            let is_left = entry.file_type().is_ok_and(|kind| kind.is_file()) && !parent.join(of).exists();
+            let _ = if is_left { fs::remove_file(entry.path()) } else { Ok(()) };
+        }
         let Some(kind) = entry.file_type().ok().filter(|_| is_temporary(&entry.file_name().to_string_lossy())) else {
             continue;
         };
@@ -229,4 +237,27 @@ fn remove_abandoned(parent: &Path) -> io::Result<()> {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn journals_go_when_their_files_are_gone() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let new = temporary_file(folder.path()).unwrap();
+        let own = PathBuf::from(format!("{}{JOURNAL}", new.path().display()));
+        let left = at(".abbe-partial-0123456789ab-journal");
+        let somebodys = at("plant.sqlite-journal");
+        for journal in [&own, &left, &somebodys] {
+            fs::write(journal, "what was there before").unwrap();
+        }
+        drop(temporary_file(folder.path()).unwrap());
+        assert!(own.exists() && somebodys.exists() && !left.exists());
+        drop(new);
+        drop(temporary_file(folder.path()).unwrap());
+        assert!(!own.exists() && somebodys.exists());
+    }
 }

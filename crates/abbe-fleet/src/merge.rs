@@ -4,6 +4,7 @@ mod blocks;
 mod keeper;
 mod names;
 
+use std::collections::BTreeSet;
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -39,6 +40,8 @@ pub struct Merged {
     pub open: usize,
     /// Jobs with remarks on their estimates.
     pub remarked: usize,
+    /// Files of earlier merges, by their names in the folder, that this one did not write.
+    pub earlier: BTreeSet<String>,
 }
 
 /// Puts the results of all jobs together, in the order of the manifest: tables in `out`, calibrations as files on request (`files`), entries
@@ -95,8 +98,9 @@ pub fn merge(
     if let Some(keeper) = keeper {
         merged.entries -= keeper.finish()?;
     }
+    own.put_waiting()?;
     tables.finish(&mut own)?;
-    own.finish(files)?;
+    merged.earlier = own.finish()?;
     folder.keep();
     Ok(merged)
 }

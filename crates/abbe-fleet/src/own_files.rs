@@ -110,11 +110,16 @@ impl OwnFiles {
         Ok(())
     }
 
-    /// Writes a file that [`finish`](Self::finish) puts at its place: a merge that ends before has changed nothing.
+    /// Writes a file that [`put_waiting`](Self::put_waiting) puts at its place: a merge that ends before has changed nothing.
     ///
     /// # Errors
-    /// As [`OwnFiles::check`]; and if the disk does not take it.
+    /// As [`OwnFiles::check`]; if its folder is none; and if the disk does not take it.
     pub fn keep_ready(&mut self, content: &[u8], path: &Path) -> Result<()> {
+        let folder = path.parent().unwrap_or(&self.folder);
+        if folder.symlink_metadata().is_ok() && !folder.is_dir() {
+            let error = Error::data("this is no folder, and files of the merge go into one of this name");
+            return Err(error.help("move it away, or name another folder: `--out`").in_file(folder));
+        }
         self.check(path)?;
         let waiting = match self.waiting.take() {
             Some(waiting) => waiting,
@@ -126,36 +131,38 @@ impl OwnFiles {
         written.map_err(|error| unwritable(path, &error))
     }
 
-    /// Puts the files that wait at their places, and writes the record anew: what this merge wrote, and files of earlier ones that are
-    /// still there. With `is_all`, those of earlier ones that are as they were written and were not written again are removed: they are of
-    /// jobs that the fleet no longer has.
+    /// Puts the files that wait at their places.
     ///
     /// # Errors
-    /// If the disk does not take it.
-    pub fn finish(mut self, is_all: bool) -> Result<()> {
-        let waiting = self.waiting.take();
+    /// As [`OwnFiles::put`].
+    pub fn put_waiting(&mut self) -> Result<()> {
+        let Some(waiting) = self.waiting.take() else { return Ok(()) };
         for name in std::mem::take(&mut self.names) {
-            let (file, path) =
-                (waiting.as_ref().map_or(Path::new(""), Staging::path).join(&name), self.folder.join(&name));
+            let (file, path) = (waiting.path().join(&name), self.folder.join(&name));
             let folder = path.parent().unwrap_or(&self.folder).to_owned();
             self.put_by(&file, &path, || fs::create_dir_all(folder).and_then(|()| fs::rename(&file, &path)))?;
         }
+        Ok(())
+    }
+
+    /// Writes the record anew: what this merge wrote, and files of earlier ones that are still there. The names of these: they stay, and
+    /// are of no job that this merge has.
+    ///
+    /// # Errors
+    /// If the disk does not take it.
+    pub fn finish(self) -> Result<BTreeSet<String>> {
         let path = self.folder.join(RECORD);
         let names: BTreeSet<&String> = self.now.iter().map(|own| &own.file).collect();
-        for own in self.known.iter().filter(|own| is_all && !names.contains(&own.file)) {
-            let outdated = self.folder.join(&own.file);
-            if sha256_of(&outdated).is_ok_and(|sha256| sha256 == own.sha256) {
-                fs::remove_file(&outdated).map_err(|error| unwritable(&outdated, &error))?;
-            }
-        }
         let is_there = |own: &&Written| !names.contains(&own.file) && self.folder.join(&own.file).exists();
-        let all: BTreeSet<&Written> = self.known.iter().filter(is_there).chain(&self.now).collect();
+        let earlier: BTreeSet<&Written> = self.known.iter().filter(is_there).collect();
+        let all: BTreeSet<&Written> = earlier.iter().copied().chain(&self.now).collect();
         let lines: String = all.into_iter().map(|own| json!(own).to_string() + "\n").collect();
         let written = abbe_engine::temporary_file(&self.folder).and_then(|mut file| {
             file.write_all(lines.as_bytes())?;
             file.persist(&path).map(drop).map_err(|error| error.error)
         });
-        written.map_err(|error| unwritable(&path, &error))
+        written.map_err(|error| unwritable(&path, &error))?;
+        Ok(earlier.into_iter().map(|own| own.file.clone()).collect())
     }
 
     fn name(&self, path: &Path) -> String {
@@ -196,12 +203,12 @@ mod tests {
         drop(own);
         let mut own = OwnFiles::of(at).unwrap();
         put(at, &mut own, "a.csv", "3").unwrap();
-        own.finish(false).unwrap();
+        own.finish().unwrap();
         let mut own = OwnFiles::of(at).unwrap();
         fs::write(at.join("a.csv"), "3, and more").unwrap();
         assert!(put(at, &mut own, "a.csv", "4").is_err());
         put(at, &mut own, "b.csv", "4").unwrap();
-        own.finish(false).unwrap();
+        own.finish().unwrap();
         assert_eq!(fs::read_to_string(at.join("mine.csv")).unwrap(), "mine");
         assert_eq!(fs::read_to_string(at.join("a.csv")).unwrap(), "3, and more");
         // A record of somebody else is none.
@@ -210,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn files_that_wait_come_at_the_end_and_outdated_ones_go() {
+    fn files_that_wait_come_together_and_earlier_ones_stay() {
         let folder = tempfile::tempdir().unwrap();
         let at = folder.path();
         let names = |folder: &Path| {
@@ -225,20 +232,27 @@ mod tests {
         let mut own = OwnFiles::of(at).unwrap();
         own.keep_ready(b"1", &inner.join("one")).unwrap();
         drop(own);
-        assert_eq!(names(&inner), ["no folder"]);
-        let merge = |all: &[&str], is_all: bool| {
+        assert_eq!((names(&inner), names(at)), (vec!["no folder".to_owned()], Vec::new()));
+        let merge = |all: &[&str]| {
             let mut own = OwnFiles::of(at).unwrap();
             all.iter().for_each(|name| own.keep_ready(name.as_bytes(), &inner.join(name)).unwrap());
-            own.finish(is_all).unwrap();
-            names(&inner)
+            own.put_waiting().unwrap();
+            own.finish().unwrap().into_iter().collect::<Vec<_>>()
         };
-        assert_eq!(merge(&["one", "two", "three"], true), ["one", "three", "two"]);
-        assert_eq!(merge(&["one"], false), ["one", "three", "two"]);
-        // Somebody has changed one of those that are outdated: it is theirs now.
+        assert_eq!(merge(&["one", "two"]), Vec::<String>::new());
+        assert_eq!(merge(&["one"]), ["calibrations/two"]);
+        assert_eq!(
+            (names(&inner), names(at)),
+            (vec!["one".into(), "two".into()], vec!["calibrations".into(), RECORD.into()])
+        );
+        // Somebody has changed one of them: it is theirs now.
         fs::write(inner.join("two"), "mine").unwrap();
-        assert_eq!(merge(&["one"], true), ["one", "two"]);
-        assert_eq!(fs::read_to_string(inner.join("two")).unwrap(), "mine");
         let mut own = OwnFiles::of(at).unwrap();
         assert!(own.keep_ready(b"2", &inner.join("two")).is_err());
+        assert_eq!(fs::read_to_string(inner.join("two")).unwrap(), "mine");
+        fs::rename(&inner, at.join("theirs")).unwrap();
+        fs::write(&inner, "mine").unwrap();
+        let error = own.keep_ready(b"1", &inner.join("one")).unwrap_err();
+        assert!(error.to_string().contains("this is no folder"), "{error}");
     }
 }

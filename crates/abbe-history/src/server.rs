@@ -222,7 +222,7 @@ fn failed(name: &str, error: &postgres::Error) -> Error {
     match error.code() {
         Some(&SqlState::LOCK_NOT_AVAILABLE) => {
             let message = format!("{name} is being written by another program, for {} s now", PATIENCE.as_secs());
-            Error::data(message).help("try again; nothing was added")
+            Error::data(message).help("try again; nothing of this entry was added")
         }
         Some(&SqlState::INSUFFICIENT_PRIVILEGE) => Error::usage(format!("{name} refuses it to this user: {said}")).help(
             "who makes a history needs the right to create schemas, who adds to it INSERT and SELECT, who reads it SELECT and the \

@@ -186,11 +186,11 @@ fn failed(path: &Path, error: &rusqlite::Error) -> Error {
         Some(NotADatabase) => Error::usage(format!("{path} is no history")).help("name another file"),
         Some(DatabaseBusy) => {
             let message = format!("{path} is being written by another program, for {} s now", PATIENCE.as_secs());
-            Error::data(message).help("try again; nothing was added")
+            Error::data(message).help("try again; nothing of this entry was added")
         }
         Some(ReadOnly | PermissionDenied) => told(
             "written",
-            "nothing was added: this user may not write the file, or not make files beside it in its folder",
+            "nothing of this entry was added: this user may not write the file, or not make files beside it in its folder",
         ),
         Some(CannotOpen) => told(
             &format!("opened: {error}"),
@@ -198,10 +198,10 @@ fn failed(path: &Path, error: &rusqlite::Error) -> Error {
         ),
         Some(SystemIoFailure) => told(
             &format!("read or written: {error}"),
-            "nothing was added: does the drive fail, is it full, or is it a network drive?",
+            "nothing of this entry was added: does the drive fail, is it full, or is it a network drive?",
         ),
         Some(DiskFull) => Error::data(format!("the history {path} cannot be written: the disk is full"))
-            .help("make room, or name a file on another disk; nothing was added"),
+            .help("make room, or name a file on another disk; nothing of this entry was added"),
         Some(DatabaseCorrupt) => {
             Error::data(format!("the history {path} is damaged: {error}")).help("take the last copy that is whole")
         }

@@ -166,6 +166,13 @@ impl Asked {
                 if merged.remarked > 0 {
                     let _ = writeln!(text, "{} jobs have remarks on their estimates: see remarks.csv", merged.remarked);
                 }
+                if let Some(first) = merged.earlier.first() {
+                    let count = merged.earlier.len();
+                    let _ = writeln!(
+                        text,
+                        "{count} files of earlier merges stay, and may be of jobs that are gone: the first is {first}"
+                    );
+                }
                 Ok(with_failures(text, &merged.failed))
             }
             Self::Next { manifest } => {
