@@ -481,6 +481,10 @@ fn a_symbol_is_explained_by_what_the_model_does() {
         assert!(said.contains(expected), "{symbol}: {said}");
     }
     assert_eq!(abbe(&root, &["explain", "EXX"]).status, 2);
+    for position in ["X=1e300", "X=-1e7", "X=inf", "X"] {
+        let printed = abbe(&root, &["explain", "EXX", "--chain", chain, "--at", position]);
+        assert!(printed.status == 2 && printed.stderr.contains(position), "{}", printed.stderr);
+    }
     // A machine file: its own functions, a spline without a formula among them.
     assert!(
         told(&["EX0B1", "--machine", "pipelines/robot-ur5.yaml"]).contains("one of the independent location errors")

@@ -33,12 +33,18 @@ pub struct Explain {
     at: Vec<(String, f64)>,
 }
 
+/// Farthest that an axis may stand, mm or degrees.
+const FARTHEST: f64 = 1e6;
+
 /// A position of an axis: `X=200`.
 pub fn position(text: &str) -> std::result::Result<(String, f64), String> {
     let wrong = || format!("`{text}`: an axis and its position was expected, as `X=200`");
     let (axis, position) = text.split_once('=').ok_or_else(wrong)?;
     let position: f64 = position.trim().parse().map_err(|_| wrong())?;
-    if position.is_finite() { Ok((axis.trim().to_owned(), position)) } else { Err(wrong()) }
+    match position.abs() <= FARTHEST {
+        true => Ok((axis.trim().to_owned(), position)),
+        false => Err(format!("`{text}`: a position from -{FARTHEST} to {FARTHEST} mm or degrees was expected")),
+    }
 }
 
 /// A parameter of a machine that has it.

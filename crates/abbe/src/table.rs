@@ -97,6 +97,8 @@ fn total(widths: &[usize]) -> usize {
 fn aligned(row: &[String], widths: &[usize], right: &[bool]) -> String {
     let mut line = String::new();
     for (column, cell) in row.iter().enumerate() {
+        // A line end in a name makes no line of its own, which somebody could take for one of the program.
+        let cell = cell.replace('\n', "\u{240a}");
         let fill = " ".repeat(widths[column].saturating_sub(cell.chars().count()));
         let (before, after) = if right[column] { (fill.as_str(), "") } else { ("", fill.as_str()) };
         line.push_str(if column == 0 { INDENT } else { GAP });
@@ -118,6 +120,14 @@ pub fn plain(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_line_end_in_a_name_makes_no_line() {
+        let rows = cells(&[&["machine", "entries"], &["mill\nPASS: all is well", "1"]]);
+        for table in [text(&rows, &[1]), within(&rows, &[1], 1, 200)] {
+            assert!(table.lines().count() == 2 && table.contains("mill\u{240a}PASS"), "{table}");
+        }
+    }
 
     fn cells(rows: &[&[&str]]) -> Vec<Vec<String>> {
         rows.iter().map(|row| row.iter().map(|cell| (*cell).to_owned()).collect()).collect()
