@@ -17,7 +17,7 @@ const AFTER_SIGNAL: Duration = Duration::from_millis(600);
 /// How long the work has to end by itself, and to write what is finished, when its time is over.
 pub const GRACE: Duration = Duration::from_secs(5);
 
-/// Temporary folders that are there now.
+/// Temporary folders and files that are there now.
 static FOLDERS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
 /// The signal that came; 0 as long as none has.
@@ -52,20 +52,38 @@ impl Drop for TemporaryFolder {
     }
 }
 
+/// A temporary file of somebody else, who removes it. As long as this is there a signal or a time limit that ends the process removes it, too.
+pub struct TemporaryFile(PathBuf);
+
+impl TemporaryFile {
+    /// Notes one.
+    pub fn at(path: &Path) -> Self {
+        FOLDERS.lock().unwrap_or_else(PoisonError::into_inner).push(path.to_owned());
+        Self(path.to_owned())
+    }
+}
+
+impl Drop for TemporaryFile {
+    fn drop(&mut self) {
+        FOLDERS.lock().unwrap_or_else(PoisonError::into_inner).retain(|file| *file != self.0);
+    }
+}
+
 /// How often, and how long after each other, a folder is removed into which something that is about to end may still write.
 const TRIES: usize = 10;
 const PAUSE: Duration = Duration::from_millis(20);
 
 fn remove(folder: &Path) {
     for _ in 0..TRIES {
-        if std::fs::remove_dir_all(folder).is_ok() || !folder.exists() {
+        let removed = if folder.is_dir() { std::fs::remove_dir_all(folder) } else { std::fs::remove_file(folder) };
+        if removed.is_ok() || !folder.exists() {
             return;
         }
         std::thread::sleep(PAUSE);
     }
 }
 
-/// Removes temporary folders when the process ends before what made them. No other is made any more.
+/// Removes temporary folders and files when the process ends before what made them. No other is made any more.
 fn clear_away() {
     let folders = FOLDERS.lock().unwrap_or_else(PoisonError::into_inner);
     folders.iter().for_each(|folder| remove(folder));

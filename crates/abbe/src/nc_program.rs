@@ -274,6 +274,7 @@ impl Asked<'_> {
         let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let failed = |error: std::io::Error| cannot_be_written(out, &error);
         let file = temporary_file(folder).map_err(failed)?;
+        let _noted = interrupt::TemporaryFile::at(file.path());
         let mut writer = Remembering { into: BufWriter::new(file.as_file()), error: None };
         let summary = compensate(&mut source.reader, &mut writer, build, options);
         let summary = (source.told(summary, options).map(|summary| source.completed(summary)))
