@@ -145,8 +145,8 @@ impl OwnFiles {
         Ok(())
     }
 
-    /// Writes the record anew: what this merge wrote, and files of earlier ones that are still there. The names of these: they stay, and
-    /// are of no job that this merge has.
+    /// Writes the record anew: what this merge wrote, and files of earlier ones that are still there. Gives the names of these: they stay,
+    /// whether their jobs are gone, were done anew, or this merge was not asked for them.
     ///
     /// # Errors
     /// If the disk does not take it.

@@ -52,7 +52,8 @@ impl Drop for TemporaryFolder {
     }
 }
 
-/// A temporary file of somebody else, who removes it. As long as this is there a signal or a time limit that ends the process removes it, too.
+/// A temporary file that somebody else makes and removes. As long as this is there, a signal or a time limit that ends the process removes
+/// the file, too.
 pub struct TemporaryFile(PathBuf);
 
 impl TemporaryFile {
