@@ -23,6 +23,9 @@ pub const MOST_JOBS: usize = 1_000_000;
 /// Bytes of the largest table of machines: 256 MiB.
 const LARGEST_TABLE: u64 = 256 << 20;
 
+/// Bytes of the longest cell: 64 KiB, as in tables of measurements.
+const LONGEST_CELL: usize = 64 << 10;
+
 /// What stands under `for`: every value of each variable with every value of the others, the last one fastest. `folder` is that of the
 /// fleet.
 pub fn read(node: Option<&Node<'_>>, folder: &Path) -> Result<Vec<Combination>> {
@@ -82,14 +85,19 @@ fn table(name: &str, node: &Node<'_>, folder: &Path) -> Result<Vec<(Variables, V
         let error = Error::usage("a zero byte stands here: this is no text, or it is damaged").at(&path, line, None);
         return Err(error.help("write the table again"));
     }
-    let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_reader(text.as_bytes());
+    // A quotation mark that nothing closes takes the last line end, too.
+    let text = text + "\n";
+    let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).flexible(true).from_reader(text.as_bytes());
     let at = |error: &csv::Error| {
         let line = error.position().map_or(1, |position| position.line() as usize);
         Error::usage(format!("this is no table: {error}"))
             .at(&path, line, None)
             .help("a row of names and then rows of values were expected, separated by commas, as UTF-8")
     };
-    let header: Vec<String> = reader.headers().map_err(|error| at(&error))?.iter().map(str::to_owned).collect();
+    let header = reader.headers().map_err(|error| at(&error)).and_then(|header| {
+        within_bounds(header, (&path, &text))?;
+        Ok(header.iter().map(|name| name.trim().to_owned()).collect::<Vec<_>>())
+    })?;
     let Some(column) = header.iter().position(|own| own == name) else {
         let message = format!("{} has no column `{name}`", path.display());
         return Err(file.error(At::Value, message).suggest(name, header.iter().map(String::as_str)));
@@ -101,11 +109,18 @@ fn table(name: &str, node: &Node<'_>, folder: &Path) -> Result<Vec<(Variables, V
     let mut rows = Vec::new();
     for record in reader.records() {
         let record = record.map_err(|error| at(&error))?;
+        within_bounds(&record, (&path, &text))?;
+        if record.len() != header.len() {
+            let message =
+                format!("this is no table: the row has {} cells; {} were expected", record.len(), header.len());
+            let error = Error::usage(message).at(&path, line_of(&record, &text), None);
+            return Err(error
+                .help("correct the row: a comma is missing there or one too many, or a text with one is not quoted"));
+        }
         let cells: Variables = header.iter().cloned().zip(record.iter().map(cell)).collect();
         let value = record.get(column).map(cell).unwrap_or_default();
-        if record.get(column).is_none_or(str::is_empty) {
-            let line = record.position().map_or(1, |position| position.line() as usize);
-            let error = Error::usage(format!("`{name}` is empty here")).at(&path, line, None);
+        if value == "" {
+            let error = Error::usage(format!("`{name}` is empty here")).at(&path, line_of(&record, &text), None);
             return Err(error.help("write its value, or remove the row"));
         }
         rows.push((cells, value));
@@ -113,8 +128,34 @@ fn table(name: &str, node: &Node<'_>, folder: &Path) -> Result<Vec<(Variables, V
     Ok(rows)
 }
 
+/// The line in which a row begins. The reader counts blank lines and remarks before a row as a part of it.
+fn line_of(record: &csv::StringRecord, text: &str) -> usize {
+    let Some(position) = record.position() else { return 1 };
+    let rest = text.get(position.byte() as usize..).unwrap_or_default();
+    let is_before_it = |line: &&str| line.trim().is_empty() || line.starts_with('#');
+    position.line() as usize + rest.lines().take_while(is_before_it).count()
+}
+
+/// Fails for a cell over several lines, which a quotation mark makes that nothing closes, and for one that is too long.
+fn within_bounds(record: &csv::StringRecord, (path, text): (&Path, &str)) -> Result<()> {
+    let wrong =
+        |message: String, help: &str| Err(Error::usage(message).at(path, line_of(record, text), None).help(help));
+    for (cell, number) in record.iter().zip(1..) {
+        if cell.contains(['\n', '\r']) {
+            let message = format!("cell {number} of the row that begins here goes over several lines");
+            return wrong(message, "is a quotation mark not closed?");
+        }
+        if cell.len() > LONGEST_CELL {
+            let (length, most) = (cell.len().div_ceil(1 << 10), LONGEST_CELL >> 10);
+            return wrong(format!("cell {number} has {length} KiB; at most {most} are read"), "shorten it");
+        }
+    }
+    Ok(())
+}
+
 /// A number if it is written as one and nothing of it would be lost; `007` is a text.
 fn cell(text: &str) -> Value {
+    let text = text.trim();
     let number = serde_json::from_str::<serde_json::Number>(text).ok();
     let number = number.filter(|number| number.to_string().as_str() == text);
     number.map_or_else(|| Value::String(text.to_owned()), Value::Number)
@@ -139,6 +180,27 @@ mod tests {
             std::fs::write(folder.path().join("z.csv"), content).unwrap();
             let error = combinations(folder.path(), "q: { table: z.csv }\n").unwrap_err();
             assert!(error.message.contains("zero byte"), "{content:?}: {error}");
+        }
+    }
+
+    #[test]
+    fn cells_stay_on_their_line_and_below_64_kib() {
+        let folder = tempfile::tempdir().unwrap();
+        let long = |length: usize| format!("q,r\n{},1\n", "a".repeat(length));
+        for (content, said) in [
+            ("q,r\n\"a,1\nb,2\n".to_owned(), "z.csv:2: cell 1 of the row"),
+            ("q,r\na,1\n\nb,\"2".to_owned(), "z.csv:4: cell 2 of the row"),
+            ("q,\"r\na,1\n".to_owned(), "z.csv:1: cell 2 of the row"),
+            (long(65_537), "z.csv:2: cell 1 has 65 KiB; at most 64"),
+            (format!("q,{}\na,1\n", "r".repeat(70_000)), "z.csv:1: cell 2 has 69 KiB"),
+        ] {
+            std::fs::write(folder.path().join("z.csv"), content).unwrap();
+            let error = combinations(folder.path(), "q: { table: z.csv }\n").unwrap_err().to_string();
+            assert!(error.contains(said), "{said}: {error}");
+        }
+        for content in [long(65_536), "q , r\n \"a\", 5\" plate \r\nb,\"x, y\"".to_owned()] {
+            std::fs::write(folder.path().join("z.csv"), content).unwrap();
+            combinations(folder.path(), "q: { table: z.csv }\n").unwrap();
         }
     }
 

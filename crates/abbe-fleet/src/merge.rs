@@ -50,7 +50,7 @@ pub struct Merged {
 /// Jobs that failed are told, and cost no others; jobs that nobody has done yet are an error unless `partial`.
 ///
 /// # Errors
-/// For open jobs, for results of another fleet, for names of temporary folders, if the disk or the history does not take what is written,
+/// For open jobs, for results and tables of another fleet, for names of temporary folders, if the disk or the history does not take what is written,
 /// while another merge of this manifest is at work, after a minute, and if `monitor` is cancelled before all jobs are read.
 pub fn merge(
     manifest: &Manifest,
@@ -75,7 +75,7 @@ pub fn merge(
         store: manifest.store(),
         tables: Tables::new(out)?,
         keeper: manifest.head.history.as_deref().map(Keeper::open).transpose()?,
-        own: OwnFiles::of(out)?,
+        own: OwnFiles::of(out, &manifest.head.fleet)?,
         out: out.to_owned(),
         files,
         names: Names::default(),

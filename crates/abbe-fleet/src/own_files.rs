@@ -24,11 +24,21 @@ struct Written {
     file: String,
     /// Hash of its content.
     sha256: String,
+    /// The name of the fleet that was merged; none in records of earlier programs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    fleet: Option<String>,
+}
+
+impl Written {
+    fn is_same_file(&self, other: &Self) -> bool {
+        (&self.file, &self.sha256) == (&other.file, &other.sha256)
+    }
 }
 
 /// The files of merges in a folder.
 pub struct OwnFiles {
     folder: PathBuf,
+    fleet: String,
     known: BTreeSet<Written>,
     now: BTreeSet<Written>,
     record: Option<File>,
@@ -38,11 +48,11 @@ pub struct OwnFiles {
 }
 
 impl OwnFiles {
-    /// What earlier merges wrote into a folder, which is there.
+    /// What earlier merges of a fleet wrote into a folder, which is there.
     ///
     /// # Errors
-    /// If something that is no record of a merge has its name, and if the disk does not take more of it.
-    pub fn of(folder: &Path) -> Result<Self> {
+    /// If something that is no record of a merge has its name, if files of another fleet are there, and if the record cannot be read.
+    pub fn of(folder: &Path, fleet: &str) -> Result<Self> {
         let path = folder.join(RECORD);
         let text = match abbe_files::read_text(&path, abbe_files::LARGEST_RESULT) {
             Ok(text) => text,
@@ -54,8 +64,14 @@ impl OwnFiles {
         if known.is_empty() && !text.trim().is_empty() {
             return Err(of_somebody(&path));
         }
+        let known: BTreeSet<Written> = known.into_iter().filter(|own| folder.join(&own.file).exists()).collect();
+        if let Some(other) = known.iter().filter_map(|own| own.fleet.as_deref()).find(|other| *other != fleet) {
+            let message = format!("the tables of another fleet are there: those of `{other}`, not of `{fleet}`");
+            return Err(Error::data(message).help("name another folder: `--out`; or move them away").in_file(folder));
+        }
         Ok(Self {
             folder: folder.to_owned(),
+            fleet: fleet.to_owned(),
             known,
             now: BTreeSet::new(),
             record: None,
@@ -64,16 +80,21 @@ impl OwnFiles {
         })
     }
 
-    /// The record, to which lines are added; what a killed merge has left of a line is closed.
+    /// The record, to which lines are added. It begins with what is known, each line once: merges that fail do not make it longer.
     fn record(&mut self) -> io::Result<&mut File> {
         if self.record.is_none() {
-            let mut record = File::options().create(true).append(true).open(self.folder.join(RECORD))?;
-            if record.metadata()?.len() > 0 {
-                record.write_all(b"\n")?;
-            }
-            self.record = Some(record);
+            self.write_record(&self.known.iter().collect())?;
+            self.record = Some(File::options().append(true).open(self.folder.join(RECORD))?);
         }
         self.record.as_mut().ok_or_else(|| io::Error::other("the record is not open"))
+    }
+
+    /// Writes the record anew, whole or not at all.
+    fn write_record(&self, all: &BTreeSet<&Written>) -> io::Result<()> {
+        let lines: String = all.iter().map(|own| json!(own).to_string() + "\n").collect();
+        let mut file = abbe_engine::temporary_file(&self.folder)?;
+        file.write_all(lines.as_bytes())?;
+        file.persist(self.folder.join(RECORD)).map(drop).map_err(|error| error.error)
     }
 
     /// Fails if something is at a place in the folder that no merge wrote, or that was changed since.
@@ -82,8 +103,9 @@ impl OwnFiles {
             return Ok(());
         }
         let is_file = path.symlink_metadata().is_ok_and(|found| found.is_file());
-        let written = sha256_of(path).ok().map(|sha256| Written { file: self.name(path), sha256 });
-        let is_own = is_file && written.is_some_and(|own| self.known.contains(&own) || self.now.contains(&own));
+        let written = sha256_of(path).ok().map(|sha256| self.written(path, sha256));
+        let mut all = self.known.iter().chain(&self.now);
+        let is_own = is_file && written.is_some_and(|own| all.any(|known| known.is_same_file(&own)));
         if is_own { Ok(()) } else { Err(of_somebody(path)) }
     }
 
@@ -99,7 +121,7 @@ impl OwnFiles {
     fn put_by(&mut self, file: &Path, path: &Path, put: impl FnOnce() -> io::Result<()>) -> Result<()> {
         self.check(path)?;
         let write = |record: &mut Self| -> io::Result<Written> {
-            let own = Written { file: record.name(path), sha256: sha256_of(file)? };
+            let own = record.written(path, sha256_of(file)?);
             // Before it is there: a merge that is killed leaves no file that the next one does not know.
             record.record()?.write_all((json!(own).to_string() + "\n").as_bytes())?;
             put()?;
@@ -155,14 +177,13 @@ impl OwnFiles {
         let names: BTreeSet<&String> = self.now.iter().map(|own| &own.file).collect();
         let is_there = |own: &&Written| !names.contains(&own.file) && self.folder.join(&own.file).exists();
         let earlier: BTreeSet<&Written> = self.known.iter().filter(is_there).collect();
-        let all: BTreeSet<&Written> = earlier.iter().copied().chain(&self.now).collect();
-        let lines: String = all.into_iter().map(|own| json!(own).to_string() + "\n").collect();
-        let written = abbe_engine::temporary_file(&self.folder).and_then(|mut file| {
-            file.write_all(lines.as_bytes())?;
-            file.persist(&path).map(drop).map_err(|error| error.error)
-        });
-        written.map_err(|error| unwritable(&path, &error))?;
+        let all = earlier.iter().copied().chain(&self.now).collect();
+        self.write_record(&all).map_err(|error| unwritable(&path, &error))?;
         Ok(earlier.into_iter().map(|own| own.file.clone()).collect())
+    }
+
+    fn written(&self, path: &Path, sha256: String) -> Written {
+        Written { file: self.name(path), sha256, fleet: Some(self.fleet.clone()) }
     }
 
     fn name(&self, path: &Path) -> String {
@@ -194,26 +215,36 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let at = folder.path();
         fs::write(at.join("mine.csv"), "mine").unwrap();
-        let mut own = OwnFiles::of(at).unwrap();
+        let mut own = OwnFiles::of(at, "A plant").unwrap();
         put(at, &mut own, "a.csv", "1").unwrap();
         put(at, &mut own, "a.csv", "2").unwrap();
         put(at, &mut own, "b.csv", "1").unwrap();
         assert!(put(at, &mut own, "mine.csv", "2").is_err());
         // Killed here: what was written is known all the same.
         drop(own);
-        let mut own = OwnFiles::of(at).unwrap();
+        let mut own = OwnFiles::of(at, "A plant").unwrap();
         put(at, &mut own, "a.csv", "3").unwrap();
         own.finish().unwrap();
-        let mut own = OwnFiles::of(at).unwrap();
+        let mut own = OwnFiles::of(at, "A plant").unwrap();
         fs::write(at.join("a.csv"), "3, and more").unwrap();
         assert!(put(at, &mut own, "a.csv", "4").is_err());
         put(at, &mut own, "b.csv", "4").unwrap();
         own.finish().unwrap();
         assert_eq!(fs::read_to_string(at.join("mine.csv")).unwrap(), "mine");
         assert_eq!(fs::read_to_string(at.join("a.csv")).unwrap(), "3, and more");
+        // Merges that fail do not make the record longer, and another fleet gets none of these files.
+        let record = || fs::read_to_string(at.join(RECORD)).unwrap();
+        let before = record();
+        for _ in 0..3 {
+            let mut own = OwnFiles::of(at, "A plant").unwrap();
+            put(at, &mut own, "b.csv", "4").unwrap();
+        }
+        assert_eq!(record().lines().count(), before.lines().count() + 1, "{}", record());
+        let error = OwnFiles::of(at, "Another plant").map(drop).unwrap_err().to_string();
+        assert!(error.contains("those of `A plant`, not of `Another plant`"), "{error}");
         // A record of somebody else is none.
         fs::write(at.join(RECORD), "{\"file\": 1}\n").unwrap();
-        assert!(OwnFiles::of(at).is_err());
+        assert!(OwnFiles::of(at, "A plant").is_err());
     }
 
     #[test]
@@ -229,12 +260,12 @@ mod tests {
             names
         };
         let inner = at.join("calibrations");
-        let mut own = OwnFiles::of(at).unwrap();
+        let mut own = OwnFiles::of(at, "A plant").unwrap();
         own.keep_ready(b"1", &inner.join("one")).unwrap();
         drop(own);
         assert_eq!((names(&inner), names(at)), (vec!["no folder".to_owned()], Vec::new()));
         let merge = |all: &[&str]| {
-            let mut own = OwnFiles::of(at).unwrap();
+            let mut own = OwnFiles::of(at, "A plant").unwrap();
             all.iter().for_each(|name| own.keep_ready(name.as_bytes(), &inner.join(name)).unwrap());
             own.put_waiting().unwrap();
             own.finish().unwrap().into_iter().collect::<Vec<_>>()
@@ -247,7 +278,7 @@ mod tests {
         );
         // Somebody has changed one of them: it is theirs now.
         fs::write(inner.join("two"), "mine").unwrap();
-        let mut own = OwnFiles::of(at).unwrap();
+        let mut own = OwnFiles::of(at, "A plant").unwrap();
         assert!(own.keep_ready(b"2", &inner.join("two")).is_err());
         assert_eq!(fs::read_to_string(inner.join("two")).unwrap(), "mine");
         fs::rename(&inner, at.join("theirs")).unwrap();

@@ -1,5 +1,6 @@
 //! A history in an SQLite file.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use abbe_core::{Error, Result};
@@ -80,6 +81,7 @@ impl File {
     }
 
     fn connected(path: &Path, flags: OpenFlags) -> Result<Self> {
+        nobodys_journals(path)?;
         Self::configured(path, Connection::open_with_flags(path, flags))
     }
 
@@ -164,7 +166,6 @@ impl File {
     }
 }
 
-/// What SQLite could not do, with what its user can.
 /// Refuses pipes, devices and folders before SQLite opens them.
 fn is_file_if_there(path: &Path) -> Result<()> {
     match path.metadata() {
@@ -176,6 +177,36 @@ fn is_file_if_there(path: &Path) -> Result<()> {
     }
 }
 
+/// What SQLite calls the files beside a data base that it replays, and removes, behind its name; and how each begins, in bytes
+/// (<https://www.sqlite.org/fileformat.html>, sections 3 and 4.1). One that is not complete yet begins with zeros, or is empty.
+const JOURNALS: [(&str, &[u8]); 2] =
+    [("-journal", &[0xd9, 0xd5, 0x05, 0xf9, 0x20, 0xa1, 0x63, 0xd7]), ("-wal", &[0x37, 0x7f, 0x06])];
+
+/// Refuses a history beside which somebody's file has the name of a journal: SQLite would remove it.
+fn nobodys_journals(path: &Path) -> Result<()> {
+    for (ending, start) in JOURNALS {
+        let mut journal = path.as_os_str().to_owned();
+        journal.push(ending);
+        let journal = PathBuf::from(journal);
+        if !journal.metadata().is_ok_and(|found| found.is_file()) {
+            continue;
+        }
+        let mut head = Vec::new();
+        let read = std::fs::File::open(&journal).and_then(|file| file.take(start.len() as u64).read_to_end(&mut head));
+        let is_journal = start.starts_with(&head) || head.iter().all(|byte| *byte == 0);
+        if read.is_ok() && !is_journal {
+            let message = format!("{} is a file of something else", journal.display());
+            let help = format!(
+                "SQLite takes it for a journal of {}, and would remove it: give one another name",
+                path.display()
+            );
+            return Err(Error::usage(message).help(help));
+        }
+    }
+    Ok(())
+}
+
+/// What SQLite could not do, with what its user can.
 fn failed(path: &Path, error: &rusqlite::Error) -> Error {
     use rusqlite::ErrorCode::{
         CannotOpen, DatabaseBusy, DatabaseCorrupt, DiskFull, NotADatabase, PermissionDenied, ReadOnly, SystemIoFailure,

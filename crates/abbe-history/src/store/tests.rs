@@ -159,6 +159,42 @@ fn other_files_stay_as_they_are() {
     assert!(History::read(&folder.path().join("absent")).err().unwrap().message.contains("does not exist"));
 }
 
+/// SQLite replays and removes what has the name of a journal of a history; a file of somebody else is none.
+#[test]
+fn a_file_with_the_name_of_a_journal_stays() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("plant.sqlite");
+    drop(History::open(&path).unwrap());
+    for ending in ["-journal", "-wal"] {
+        let journal = folder.path().join(format!("plant.sqlite{ending}"));
+        std::fs::write(&journal, "notes of somebody").unwrap();
+        for told in [History::open(&path).err().unwrap(), History::read(&path).err().unwrap()] {
+            assert!(told.message.contains("is a file of something else"), "{told}");
+        }
+        assert_eq!(std::fs::read_to_string(&journal).unwrap(), "notes of somebody");
+        std::fs::remove_file(&journal).unwrap();
+    }
+    // A journal that was just begun, and that of a writer that was killed.
+    let journal = folder.path().join("plant.sqlite-journal");
+    for begun in [vec![], vec![0; 512]] {
+        std::fs::write(&journal, begun).unwrap();
+        History::open(&path).unwrap();
+    }
+    std::fs::write(&path, "").unwrap();
+    let mut writer = Connection::open(&path).unwrap();
+    writer.execute_batch("PRAGMA cache_size = 1; CREATE TABLE before (x)").unwrap();
+    let transaction = writer.transaction().unwrap();
+    transaction.execute_batch("CREATE TABLE later (x)").unwrap();
+    transaction.execute("INSERT INTO later VALUES (zeroblob(100000))", []).unwrap();
+    let killed = folder.path().join("killed.sqlite");
+    for (from, to) in [("plant.sqlite", "killed.sqlite"), ("plant.sqlite-journal", "killed.sqlite-journal")] {
+        std::fs::copy(folder.path().join(from), folder.path().join(to)).unwrap();
+    }
+    drop(transaction);
+    let told = History::open(&killed).err().unwrap();
+    assert!(told.message.contains("a data base of something else"), "{told}");
+}
+
 /// Who opens a file while another program makes its tables sees none of them, or all.
 #[test]
 fn several_may_open_a_file_that_is_not_there() {
