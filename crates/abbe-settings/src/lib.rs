@@ -36,7 +36,7 @@ pub use error::{Class, Convergence, Error, Place, Result, Termination, nearest};
 pub use harmless::{harmless, harmless_json};
 pub use json::{from_json, value_in_json};
 pub use monitor::{Event, Monitor};
-pub use parallel::{free_threads, in_parallel};
+pub use parallel::{both, free_threads, in_parallel};
 pub use pattern::matches;
 pub use series::{EvenSeries, Series};
 pub use settings::{
