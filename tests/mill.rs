@@ -4,8 +4,9 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use abbe_core::{Calibration, KinematicModel, Status};
+use abbe_core::{Calibration, KinematicModel, Status, in_parallel};
 use abbe_engine::{Outcome, prepare};
+use abbe_estimation::Judgement;
 use serde_json::{Value, json};
 
 use crate::support::{Variant, fit, json_file, read, recipes, registry, root, temporary, write};
@@ -700,4 +701,39 @@ fn the_plates_are_right_after_a_correction() {
     assert!(worst < 4.0, "{worst} standard uncertainties");
     assert!(expected.tip_max.estimate < 1e-9 && largest < expected.tip_max.upper, "{largest} {expected:?}");
     assert!(expected.tip_max.upper < 0.005, "{expected:?}");
+}
+
+/// The joint fit of all measurements goes over parts of the rows. What it finds has the same bytes on one thread as on all, as for two
+/// estimates side by side; and it is the minimum: the gradient of its rows is nothing there.
+#[test]
+fn the_joint_fit_has_the_same_bytes_on_any_number_of_threads() {
+    let fits = run("mill-direct").fits;
+    let fit = fits.iter().find(|fit| fit.name == "fit").expect("the joint fit");
+    let found = || {
+        let calibration = fit.estimator.estimate(&fit.problem).expect("an estimate");
+        (calibration.to_json().expect("JSON"), calibration.fit.gradient_cosine)
+    };
+    let (alone, cosine) = found();
+    assert!(cosine.is_some_and(|cosine| cosine < 1e-9), "{cosine:?}");
+    for (text, _) in in_parallel(&[(), ()], Some(2), |()| found()) {
+        assert!(text == alone, "other bytes on one thread");
+    }
+}
+
+/// A machine that is judged again where a wavelength and its amplitudes are other ones: as if nothing had been known of it.
+#[test]
+fn a_machine_is_judged_again_as_it_is_anew() {
+    let fits = run("mill-direct").fits;
+    for name in ["fit", "fit-lengths"] {
+        let problem = &fits.iter().find(|fit| fit.name == name).expect("a fit").problem;
+        let before = Judgement::new(problem, None).expect("a judgement");
+        let solved = fits.iter().find(|fit| fit.name == name).map(|fit| problem.values_of(&fit.calibration));
+        let moved = problem.with_values(&solved.expect("values"));
+        let (again, anew) = (before.again(&moved).expect("again"), Judgement::new(&moved, None).expect("anew"));
+        assert_ne!(before.terms(), anew.terms(), "{name}: amplitudes have no effect");
+        for ((again, anew), unknown) in again.terms().iter().zip(anew.terms()).zip(&problem.unknowns) {
+            assert!((again - anew).abs() <= 1e-5 * anew, "{name} {}: {again} {anew}", unknown.name);
+        }
+        assert_eq!(again.factor().norms(), anew.factor().norms());
+    }
 }

@@ -39,8 +39,8 @@ pub use observations::{
 pub use parameter::{Parameter, ParameterRole, ProbeTerm};
 pub use pose_table::{ColumnNaming, PoseTable, StatusSource, plain_naming, pose_columns};
 pub use problem::{
-    Block, CHUNK, Chunk, CompactBlock, Considered, DeclaredTie, Evaluation, Input, ObservationSet, Owner, Prior,
-    Problem, RepeatedTogether, Tie, Unknown,
+    Block, CHUNK, Chunk, CompactBlock, Considered, DeclaredTie, Evaluation, Input, ObservationSet, Owner, PartOfRows,
+    Prior, Problem, RepeatedTogether, Tie, Unknown,
 };
 pub use quantities::Quantities;
 pub use registry::{Build, Constructor, Context, EstimateSource, Kind, Origin, Plugin, Provider, Registry};
@@ -64,8 +64,8 @@ pub use abbe_results::{
 pub use abbe_settings::ranges::AboveZero;
 pub use abbe_settings::{
     Class, Convergence, Error, EvenSeries, Event, Label, Monitor, Names, PathItem, Place, Quantity, Result, Series,
-    SettingsError, Termination, Unit, Whole, free_threads, from_json, from_settings, from_settings_in_range, harmless,
-    harmless_json, in_parallel, matches, nearest, not_negative, path_text, positive, ranges, schema_of,
+    SettingsError, Termination, Unit, Whole, both, free_threads, from_json, from_settings, from_settings_in_range,
+    harmless, harmless_json, in_parallel, matches, nearest, not_negative, path_text, positive, ranges, schema_of,
 };
 
 /// Re-exported so that plugins register with the same version of `inventory` that the registry uses.

@@ -52,13 +52,39 @@ impl Judgement {
     ///
     /// Fails where the model gives no pose, or an equation has no finite value, at nominal geometry.
     pub fn new(problem: &Problem, kept: Option<&[f64]>) -> Result<Self> {
+        Self::with_terms(problem, kept, |judged| norms_of_terms(judged, kept))
+    }
+
+    /// Judges the same problem again where parameters that shape functions, and those that they shape, have other values: only what these
+    /// do is found anew.
+    pub fn again(&self, problem: &Problem) -> Result<Self> {
+        let held = held(problem);
+        let is_held = |unknown: &Unknown| match unknown.owner {
+            Owner::Machine => held.contains(&unknown.index),
+            _ => problem.members_of(unknown).iter().any(|(index, _)| held.contains(index)),
+        };
+        Self::with_terms(problem, None, |judged| {
+            let (places, unknowns): (Vec<usize>, Vec<Unknown>) =
+                (judged.unknowns.iter().cloned().enumerate()).filter(|(_, unknown)| is_held(unknown)).unzip();
+            let anew = norms_of_terms(&Problem { unknowns, ..judged.clone() }, None)?;
+            let mut terms = self.terms.clone();
+            places.into_iter().zip(anew).for_each(|(place, anew)| terms[place] = anew);
+            Ok(terms)
+        })
+    }
+
+    fn with_terms(
+        problem: &Problem,
+        kept: Option<&[f64]>,
+        terms_of: impl FnOnce(&Problem) -> Result<Vec<f64>>,
+    ) -> Result<Self> {
         let nominal = at_nominal_geometry(problem);
         let at_start =
             kept.is_none() && nominal.start() == problem.start() && nominal.machine_values == problem.machine_values;
         let at_start = at_start && is_judged_as_recorded(problem);
         let judged = rank_point(&nominal, &nominal.start())?;
         let factor = Weighted::new(&judged)?.factor(&judged.start(), kept)?;
-        let terms = norms_of_terms(&judged, kept)?;
+        let terms = terms_of(&judged)?;
         let idle = without_effect(&nominal, &judged, (factor.norms(), &terms), kept)?;
         let factor = if idle.contains(&true) { factor.with_zeros(&idle) } else { factor };
         Ok(Self { problem: judged, factor, terms, at_start })

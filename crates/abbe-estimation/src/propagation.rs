@@ -7,7 +7,7 @@
 
 use abbe_core::{
     Contribution, Correlated, EquationIndex, JointCoverage, ParameterBudget, Problem, RepeatedTogether, Result,
-    SetIndex, UncertaintyBudget,
+    SetIndex, UncertaintyBudget, in_parallel,
 };
 use abbe_numerics::{
     CovarianceRoot, Factor, coverage_factor, dot, effective_degrees_of_freedom, joint_coverage_factor,
@@ -107,10 +107,14 @@ impl Propagation {
             let scattering: Option<Vec<f64>> =
                 constrained.then(|| EquationIndex::enumerate(&constraints).map(scatter).collect());
             let factors = Weighted::new(problem)?.factors(x, scattering.as_deref().or(kept), &ranges)?;
-            for ((index, set), factor) in SetIndex::enumerate(&problem.sets).zip(&factors) {
-                if !repeated(index) {
-                    parts.push(scales.part(set.name.clone(), covariance_root.part(factor), index));
-                }
+            let of_rows: Vec<(SetIndex, &Factor)> = SetIndex::enumerate(&problem.sets)
+                .map(|(index, _)| index)
+                .zip(&factors)
+                .filter(|(index, _)| !repeated(*index))
+                .collect();
+            let covariances = in_parallel(&of_rows, None, |(_, factor)| covariance_root.part(factor));
+            for ((index, _), covariance) in of_rows.into_iter().zip(covariances) {
+                parts.push(scales.part(problem.sets[index].name.clone(), covariance, index));
             }
         }
         let cross = propagate_shared(at, &repeated_together, &mut parts)?;

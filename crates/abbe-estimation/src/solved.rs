@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{
-    Calibration, EquivalentMotionError, Error, FitReport, Identifiability, Problem, Result, Termination, VarianceFactor,
+    Calibration, EquivalentMotionError, Error, FitReport, Identifiability, Problem, Result, Termination,
+    VarianceFactor, both,
 };
 use abbe_numerics::{Directions, Factor, Robust, RobustReport, counted_scatter_factor};
 
@@ -112,9 +113,9 @@ impl UncertaintyEvaluation {
             Some(factor) => factor,
             None => Weighted::new(&judged)?.factor(&x, kept.as_deref())?,
         };
-        let (found, root) = match lost {
+        let ((found, root), residuals) = match lost {
             None => {
-                let found = self.identifiability(problem, &factor);
+                let (found, residuals) = both(|| self.identifiability(problem, &factor), || problem.residuals(&x));
                 let found = match kept.as_ref().filter(|kept| found.rank == rank && kept.contains(&0.0)) {
                     Some(kept) => {
                         let judged = Judgement::new(problem, Some(kept))?;
@@ -127,7 +128,7 @@ impl UncertaintyEvaluation {
                     let error = confounded(&separated(problem, found));
                     return Err(kept.map_or_else(|| error.clone(), |kept| left_out(problem, &kept, &error)));
                 }
-                (found, factor.covariance_root(rank))
+                ((found, factor.covariance_root(rank)), residuals)
             }
             Some(RankDeficiency { found, determined }) => {
                 // Rows that weigh nothing may have told more.
@@ -139,10 +140,10 @@ impl UncertaintyEvaluation {
                 let weakest =
                     if self.explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() };
                 let found = Identifiability { observations: factor.rows(), condition, weakest, ..found };
-                (found, determined.covariance_root(&factor))
+                ((found, determined.covariance_root(&factor)), problem.residuals(&x))
             }
         };
-        let residuals = problem.residuals(&x)?;
+        let residuals = residuals?;
         let in_uncertainties = weighted.in_uncertainties(residuals.clone());
         let constraints = Constraints::new(&judged, &x, &root)?;
         let quantities = problem.quantities();

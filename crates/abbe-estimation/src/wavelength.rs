@@ -1,6 +1,6 @@
 //! The wavelengths that data may have: a sum of squares over a wavelength has many minima, and an iteration ends in the nearest.
 
-use abbe_core::{Owner, ParameterRole, PeriodicError, Problem, Result, RowIndex, SetIndex, Unit, Unknown};
+use abbe_core::{Owner, ParameterRole, PeriodicError, Problem, Result, RowIndex, SetIndex, Unit, Unknown, in_parallel};
 
 use crate::separation::spread_out;
 use crate::weighted::Weighted;
@@ -17,9 +17,10 @@ const STEPS: f64 = 3.0;
 /// Difference of sums of squares, in units of the scatter, up to which wavelengths explain the data alike.
 const ALIKE: f64 = 16.0;
 
-/// Minima that are refined, the lowest first, and steps of that: each takes a third off the bracket.
+/// Minima that are refined, the lowest first; most steps of that, and the part of a step between two tries that is left.
 const REFINED: usize = 8;
 const REFINEMENTS: usize = 24;
+const PRECISION: f64 = 1e-6;
 
 /// Most wavelengths that are tried on either side.
 const MOST: usize = 5_000;
@@ -64,9 +65,9 @@ pub fn wavelengths(problem: &Problem, shape: usize) -> Result<Vec<Wavelength>> {
     let Some(travel) = keep_telling_rows(&mut waves, info.axes[axis].status)? else { return Ok(Vec::new()) };
     let redundancy = waves.equations().saturating_sub(waves.unknowns.len()).max(1) as f64;
     let nominal = info.nominal[shape];
-    let mut waves = of_waves_alone(&waves)?;
-    let mut tried_at = |frequency: f64| -> Result<Option<Wavelength>> {
-        let value = 1.0 / frequency;
+    let alone = of_waves_alone(&waves)?;
+    let tried_at = |frequency: f64| -> Result<Option<Wavelength>> {
+        let (value, mut waves) = (1.0 / frequency, alone.clone());
         waves.machine_values[shape] = value;
         let factor = Weighted::new(&waves)?.factor(&waves.start(), None)?;
         let step = factor.step();
@@ -81,22 +82,23 @@ pub fn wavelengths(problem: &Problem, shape: usize) -> Result<Vec<Wavelength>> {
     let range = (RANGE / nominal).min(step * MOST as f64);
     let count = (range / step).ceil().max(1.0) as i64;
     let frequency = |place: i64| 1.0 / nominal + range * place as f64 / count as f64;
-    let mut tried: Vec<(f64, Wavelength)> = Vec::new();
-    for place in -count..=count {
-        tried.extend(tried_at(frequency(place))?.map(|found| (frequency(place), found)));
-    }
+    let all: Vec<i64> = (-count..=count).collect();
+    let tried =
+        in_parallel(&all, None, |place| Ok(tried_at(frequency(*place))?.map(|found| (frequency(*place), found))));
+    let tried: Vec<(f64, Wavelength)> = tried.into_iter().filter_map(Result::transpose).collect::<Result<_>>()?;
     let lowest = |place: usize| {
         let beside = [place.checked_sub(1), Some(place + 1)].into_iter().flatten();
         beside.filter_map(|other| tried.get(other)).all(|(_, other)| tried[place].1.cost <= other.cost)
     };
     let mut places: Vec<usize> = (0..tried.len()).filter(|&place| lowest(place)).collect();
     places.sort_by(|&one, &other| tried[one].1.cost.total_cmp(&tried[other].1.cost));
-    let mut minima = Vec::new();
-    for &place in places.iter().take(REFINED) {
+    places.truncate(REFINED);
+    let minima = in_parallel(&places, None, |&place| {
         let (middle, found) = &tried[place];
         let ends = [(middle - step).max(frequency(-count)), (middle + step).min(frequency(count))];
-        minima.push(refined(*middle, ends, found.clone(), &mut tried_at)?);
-    }
+        refined(*middle, ends, found.clone(), PRECISION * step, tried_at)
+    });
+    let mut minima: Vec<Wavelength> = minima.into_iter().collect::<Result<_>>()?;
     let best = minima.iter().map(|minimum| minimum.cost).fold(f64::INFINITY, f64::min);
     let scatter = best / redundancy;
     minima.iter_mut().for_each(|minimum| minimum.alike = minimum.cost - best <= ALIKE * scatter);
@@ -127,26 +129,55 @@ fn of_waves_alone(waves: &Problem) -> Result<Problem> {
     Ok(alone.disturbed(&errors))
 }
 
-/// The minimum between two frequencies, from one between them on (golden section).
+/// The minimum between two frequencies, from one between them on: parabolas through the last three, and a golden section where they lead
+/// nowhere (Brent 1973, chapter 5).
 fn refined(
     middle: f64,
-    [low, high]: [f64; 2],
+    [mut low, mut high]: [f64; 2],
     found: Wavelength,
-    tried_at: &mut impl FnMut(f64) -> Result<Option<Wavelength>>,
+    precision: f64,
+    tried_at: impl Fn(f64) -> Result<Option<Wavelength>>,
 ) -> Result<Wavelength> {
     const GOLDEN: f64 = 0.381_966_011_250_105_1;
-    let (mut best, mut low, mut at, mut high) = (found, low, middle, high);
+    let (mut best, mut at) = (found, middle);
+    // The second and third best frequency with what is left there.
+    let (mut second, mut third) = ((at, best.cost), (at, best.cost));
+    let (mut step, mut before) = (0.0_f64, 0.0_f64);
     for _ in 0..REFINEMENTS {
-        let next = if high - at > at - low { at + GOLDEN * (high - at) } else { at - GOLDEN * (at - low) };
-        let lower = tried_at(next)?.filter(|other| other.cost < best.cost);
-        match (lower, next > at) {
-            (Some(lower), true) => (low, at, best) = (at, next, lower),
-            (Some(lower), false) => (high, at, best) = (at, next, lower),
-            (None, true) => high = next,
-            (None, false) => low = next,
+        let centre = f64::midpoint(low, high);
+        if (at - centre).abs() <= 2.0 * precision - 0.5 * (high - low) {
+            break;
+        }
+        let by_parabola = parabola((at, best.cost), second, third).filter(|step| {
+            let (next, halves) = (at + step, step.abs() < 0.5 * before.abs());
+            halves && next - low >= 2.0 * precision && high - next >= 2.0 * precision
+        });
+        before = if by_parabola.is_some() { step } else { if at < centre { high - at } else { low - at } };
+        step = by_parabola.unwrap_or(GOLDEN * before);
+        let next = at + if step.abs() < precision { precision.copysign(step) } else { step };
+        let Some(other) = tried_at(next)? else { break };
+        if other.cost < best.cost {
+            *(if next > at { &mut low } else { &mut high }) = at;
+            (third, second) = (second, (at, best.cost));
+            (at, best) = (next, other);
+        } else {
+            *(if next > at { &mut high } else { &mut low }) = next;
+            if other.cost <= second.1 || second.0 == at {
+                (third, second) = (second, (next, other.cost));
+            } else if other.cost <= third.1 || third.0 == at || third.0 == second.0 {
+                third = (next, other.cost);
+            }
         }
     }
     Ok(best)
+}
+
+/// The step from the first of three places to the lowest of the parabola through their values; None if they are on a line.
+fn parabola((at, value): (f64, f64), second: (f64, f64), third: (f64, f64)) -> Option<f64> {
+    let left = (at - second.0) * (value - third.1);
+    let right = (at - third.0) * (value - second.1);
+    let step = ((at - third.0) * right - (at - second.0) * left) / (2.0 * (left - right));
+    step.is_finite().then_some(step)
 }
 
 /// A sentence on wavelengths that explain the data as well as the one that is taken; none if there is no other.
@@ -192,4 +223,35 @@ fn keep_telling_rows(problem: &mut Problem, status: usize) -> Result<Option<f64>
         }
     }
     Ok(Some(last - first).filter(|travel| *travel > 0.0 && kept.len() > count))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The lowest place of curves that are no parabolas, in a few tries.
+    #[test]
+    fn a_minimum_is_refined_to_its_precision() {
+        let tried = std::cell::Cell::new(0);
+        for case in 0..400 {
+            let lowest = 0.05 + 0.9 * f64::from(case) / 400.0;
+            let cost = |place: f64| match case % 4 {
+                0 => (place - lowest).powi(2),
+                1 => (3.0 * (place - lowest)).cosh(),
+                2 => (place - lowest).exp() - place,
+                _ => (place - lowest).abs().powf(1.5),
+            };
+            let at = |place: f64| Wavelength { value: place, amplitudes: Vec::new(), cost: cost(place), alike: false };
+            let tried_at = |place: f64| {
+                assert!((0.0..=1.0).contains(&place), "{place}");
+                tried.set(tried.get() + 1);
+                Ok(Some(at(place)))
+            };
+            let found = refined(0.5, [0.0, 1.0], at(0.5), 1e-6, tried_at).unwrap();
+            assert!((found.value - lowest).abs() < 1e-5, "case {case}: {} for {lowest}", found.value);
+            let beside = [found.value - 1e-5, found.value + 1e-5].map(|place| cost(place.clamp(0.0, 1.0)));
+            assert!(beside.iter().all(|cost| *cost >= found.cost - 1e-12), "case {case}");
+        }
+        assert!(tried.get() < 400 * 20, "{}", tried.get());
+    }
 }

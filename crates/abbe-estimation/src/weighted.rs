@@ -7,6 +7,15 @@ use abbe_numerics::{Accumulator, Factor, LeastSquares, Sink};
 /// Unknowns that one triangle may have. Their covariances in `calibration.json` have some 500 MB then.
 pub const MOST_AT_ONCE: usize = 5_000;
 
+/// Rows of a part that is factorised by itself, for each unknown: of fewer its triangle saves little.
+const ROWS_OF_PART: usize = 4;
+
+/// Rows times the square of unknowns of such a part: what takes longer than a thread takes to begin.
+const WORK_OF_PART: usize = 10_000_000;
+
+/// Most parts that are factorised by themselves.
+const MOST_PARTS: usize = 8;
+
 /// A problem in weighted rows.
 pub struct Weighted<'a> {
     problem: &'a Problem,
@@ -127,8 +136,12 @@ impl<'a> Weighted<'a> {
     ) -> Result<Vec<Factor>> {
         self.check_unknowns()?;
         let count = self.unknowns();
-        let mut accumulators: Vec<Accumulator> =
-            ranges.iter().map(|range| Accumulator::new(count, range.len())).collect();
+        let parts = self.parts();
+        if parts > 1 {
+            return self.factors_in(parts, x, weights, ranges);
+        }
+        let begin = |range: &IndexRange<EquationIndex>| Accumulator::new(count, range.len());
+        let mut accumulators: Vec<Accumulator> = ranges.iter().map(begin).collect();
         self.linearise_compact(x, |block| {
             for (equation, residual, line) in block.lines() {
                 let weight = weights.map_or(1.0, |weights| weights[equation].sqrt());
@@ -140,6 +153,57 @@ impl<'a> Weighted<'a> {
             }
         })?;
         Ok(accumulators.into_iter().map(Accumulator::finish).collect())
+    }
+
+    /// Parts of the rows that are factorised by themselves, before their triangles are; one where that would make more work. Their number
+    /// does not depend on that of threads.
+    fn parts(&self) -> usize {
+        if self.is_correlated() || !self.columns.is_empty() {
+            return 1;
+        }
+        let (rows, unknowns) = (self.rows(), self.unknowns().max(1));
+        (rows / (ROWS_OF_PART * unknowns)).min(rows * unknowns * unknowns / WORK_OF_PART).clamp(1, MOST_PARTS)
+    }
+
+    /// The factors of some ranges of rows, which are not correlated and have no more columns, in parts that threads share.
+    fn factors_in(
+        &self,
+        parts: usize,
+        x: &[f64],
+        weights: Option<&[f64]>,
+        ranges: &[IndexRange<EquationIndex>],
+    ) -> Result<Vec<Factor>> {
+        let rows_of = |range: &IndexRange<EquationIndex>| range.len().div_ceil(parts);
+        let found = self.problem.linearise_in_parts(x, parts, |rows| {
+            let begin = |range| Accumulator::new(self.unknowns(), rows_of(range));
+            let (mut accumulators, mut broken): (Vec<Accumulator>, _) = (ranges.iter().map(begin).collect(), None);
+            rows.linearise(|block| {
+                for (equation, residual, line) in block.lines() {
+                    if line.iter().fold(!residual.is_finite(), |bad, derivative| bad | !derivative.is_finite()) {
+                        broken.get_or_insert(equation);
+                    }
+                    let weight = weights.map_or(1.0, |weights| weights[equation].sqrt()) / self.uncertainties[equation];
+                    for (range, accumulator) in ranges.iter().zip(&mut accumulators) {
+                        if range.contains(equation) {
+                            accumulator.push_some(block.unknowns, line, residual, weight);
+                        }
+                    }
+                }
+            })?;
+            accumulators.iter_mut().for_each(Accumulator::reduce);
+            Ok((accumulators, broken))
+        })?;
+        if let Some(equation) = found.iter().find_map(|(_, broken)| *broken) {
+            return Err(not_finite(self.problem, equation));
+        }
+        let mut all: Vec<Accumulator> = Vec::new();
+        for (part, _) in found {
+            match all.is_empty() {
+                true => all = part,
+                false => all.iter_mut().zip(part).for_each(|(all, part)| all.append(part)),
+            }
+        }
+        Ok(all.into_iter().map(Accumulator::finish).collect())
     }
 }
 

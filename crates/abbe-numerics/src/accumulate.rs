@@ -77,6 +77,10 @@ impl Triangle {
         Self { columns, values: rows.get(..size, ..).to_owned() }
     }
 
+    fn height(&self) -> usize {
+        self.values.nrows()
+    }
+
     /// Entry in a row, zero below the diagonal.
     fn entry(&self, row: usize, column: usize) -> f64 {
         if row <= column && row < self.values.nrows() { self.values[(row, column)] } else { 0.0 }
@@ -295,7 +299,52 @@ impl Accumulator {
         self.present = None;
         self.filled = 0;
         self.done.push(triangle);
-        if self.done.iter().map(|triangle| triangle.values.nrows()).sum::<usize>() * (self.unknowns + 1) > BUFFER {
+        self.stack();
+    }
+
+    /// Adds the rows of another one, for the same unknowns.
+    ///
+    /// ```
+    /// use abbe_numerics::Accumulator;
+    ///
+    /// let rows = |from: u32, to: u32| {
+    ///     let mut rows = Accumulator::new(2, 10);
+    ///     (from..to).map(f64::from).for_each(|t| rows.push(&[1.0, t], t.sin(), 1.0));
+    ///     rows
+    /// };
+    /// let (mut one, all) = (rows(0, 4), rows(0, 10).finish());
+    /// one.append(rows(4, 10));
+    /// let both = one.finish();
+    /// assert_eq!(both.rows(), 10);
+    /// assert!((both.step().unwrap()[1] - all.step().unwrap()[1]).abs() < 1e-15);
+    /// ```
+    pub fn append(&mut self, mut other: Self) {
+        for part in [&mut *self, &mut other] {
+            if part.filled > 0 {
+                part.flush();
+            }
+        }
+        self.rows += other.rows;
+        self.done.append(&mut other.done);
+    }
+
+    /// Replaces its rows by triangles, and triangles over nearly the same columns by one.
+    pub fn reduce(&mut self) {
+        if self.filled > 0 {
+            self.flush();
+        }
+        self.done = gathered(std::mem::take(&mut self.done), self.unknowns + 1);
+    }
+
+    /// Puts triangles together where they have become many.
+    fn stack(&mut self) {
+        let are_many =
+            |all: &[Triangle]| all.iter().map(Triangle::height).sum::<usize>() * (self.unknowns + 1) > BUFFER;
+        if !are_many(&self.done) {
+            return;
+        }
+        self.done = gathered(std::mem::take(&mut self.done), self.unknowns + 1);
+        if are_many(&self.done) {
             let triangles = std::mem::take(&mut self.done);
             self.done.push(stacked(&triangles, (0..self.unknowns).collect()));
         }
@@ -307,7 +356,7 @@ impl Accumulator {
         if self.done.is_empty() {
             return self.factor(&self.reduced(all));
         }
-        self.flush();
+        self.reduce();
         let mut users = vec![0; self.unknowns];
         self.done.iter().flat_map(|triangle| &triangle.columns).for_each(|&column| users[column] += 1);
         // Unknowns that only one triangle has are eliminated there. Only the remaining rows are combined with other
@@ -345,6 +394,47 @@ impl Accumulator {
         let norms = (0..n).map(|column| norm_of((0..=column).map(|row| values[(row, column)]))).collect();
         Factor::new(values, right, norms, triangle.entry(n, n).powi(2), self.rows)
     }
+}
+
+/// The same rows in fewer triangles: those over nearly the same columns become one, where this makes less work for a factor of all,
+/// over so many columns with the right side.
+fn gathered(mut triangles: Vec<Triangle>, width: usize) -> Vec<Triangle> {
+    let work = |rows: usize, width: usize| rows * width * width;
+    // What triangles of this height over so many columns cost, alone and as rows of the factor of all.
+    let cost = |height: usize, columns: usize, count: usize| {
+        let own = if count > 1 { work(height, columns + 1) } else { 0 };
+        own + work(height.min(columns + 1), width)
+    };
+    triangles.sort_by(|one, other| one.columns.cmp(&other.columns));
+    let mut groups: Vec<(Vec<Triangle>, Vec<usize>, usize)> = Vec::new();
+    for triangle in triangles {
+        let (height, columns) = (triangle.height(), triangle.columns.len());
+        if let Some((group, union, sum)) = groups.last_mut() {
+            let both = union_of(union, &triangle.columns);
+            let apart = cost(*sum, union.len(), group.len()) + cost(height, columns, 1);
+            if cost(*sum + height, both.len(), group.len() + 1) < apart {
+                group.push(triangle);
+                *sum += height;
+                *union = both;
+                continue;
+            }
+        }
+        let union = triangle.columns.clone();
+        groups.push((vec![triangle], union, height));
+    }
+    let one = |(mut group, union, _): (Vec<Triangle>, Vec<usize>, usize)| match group.len() {
+        1 => group.swap_remove(0),
+        _ => stacked(&group, union),
+    };
+    groups.into_iter().map(one).collect()
+}
+
+/// What is in one of two ascending lists, ascending.
+fn union_of(one: &[usize], other: &[usize]) -> Vec<usize> {
+    let mut all = [one, other].concat();
+    all.sort_unstable();
+    all.dedup();
+    all
 }
 
 /// The factor of all rows of some triangles, over `columns`, which contain the columns of all triangles.

@@ -119,18 +119,6 @@ impl Factor {
         factor
     }
 
-    /// The factor of the same rows without some unknowns.
-    pub fn without_unknowns(&self, dropped: impl Fn(usize) -> bool) -> Self {
-        let kept: Vec<usize> = (0..self.unknowns()).filter(|&unknown| !dropped(unknown)).collect();
-        let mut accumulator = Accumulator::new(kept.len(), self.unknowns() + 1);
-        for row in 0..self.unknowns() {
-            let line: Vec<f64> = kept.iter().map(|&unknown| self.triangle[(row, unknown)]).collect();
-            accumulator.push(&line, self.right[row], 1.0);
-        }
-        accumulator.push(&vec![0.0; kept.len()], self.rest.sqrt(), 1.0);
-        accumulator.finish().of_rows(self.rows)
-    }
-
     /// The effect of each unknown from number `own` on if it alone is added to the first `own` unknowns, which are all
     /// determined, at their least squares values. An unknown whose effect is a combination of theirs is left out.
     pub fn candidate_terms(&self, own: usize) -> Vec<CandidateTerm> {

@@ -182,13 +182,24 @@ pub fn solve_from<P: LeastSquares + ?Sized>(
     factor: Option<Factor>,
     options: &Options,
 ) -> Result<Solution, P::Error> {
+    solve_after(problem, start, factor, Before::default(), options)
+}
+
+/// Like [`solve_from`], after some steps that led to the start.
+pub(crate) fn solve_after<P: LeastSquares + ?Sized>(
+    problem: &P,
+    start: &[f64],
+    factor: Option<Factor>,
+    before: Before,
+    options: &Options,
+) -> Result<Solution, P::Error> {
     let factor = match factor {
         Some(factor) => factor,
         None => problem.factor(start, None)?,
     };
     let minimum = match (options.robust, options.near) {
         (Some(_), true) => Minimum { x: start.to_vec(), end: End::Converged, iterations: 0, last_step: 0.0, factor },
-        _ => minimise(problem, start.to_vec(), factor, None, options)?,
+        _ => minimise_after(problem, start.to_vec(), factor, before, (None, options))?,
     };
     match options.robust {
         None => Ok(minimum.solution(None)),
@@ -229,7 +240,7 @@ impl<F: Steps> Minimum<F> {
 }
 
 /// The step of the linearised problem, and by how many standard uncertainties it moves all rows together; None if it has none.
-fn step_of(factor: &impl Steps) -> Option<(Vec<f64>, f64)> {
+pub(crate) fn step_of(factor: &impl Steps) -> Option<(Vec<f64>, f64)> {
     let step = factor.step()?;
     let size = factor.row_norm(&step);
     size.is_finite().then_some((step, size))
@@ -237,17 +248,35 @@ fn step_of(factor: &impl Steps) -> Option<(Vec<f64>, f64)> {
 
 /// Size of a step, in standard uncertainties of all rows together, that changes nothing of what their triangle tells: steps after it take
 /// the triangle from before it.
-const SAME_TRIANGLE: f64 = 1e-5;
+pub(crate) const SAME_TRIANGLE: f64 = 1e-5;
+
+/// The steps before an iteration.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Before {
+    /// Size of the last one if it was a full one.
+    pub last: Option<f64>,
+    /// Its ratio to the one before.
+    pub ratio: Option<f64>,
+}
 
 pub(crate) fn minimise<P: Descent + ?Sized>(
     problem: &P,
-    mut x: Vec<f64>,
-    mut factor: P::Factor,
+    x: Vec<f64>,
+    factor: P::Factor,
     weights: Option<&[f64]>,
     options: &Options,
 ) -> Result<Minimum<P::Factor>, P::Error> {
-    // Size of the last step if it was a full one, its ratio to the one before, and the size of the smallest.
-    let (mut last, mut last_ratio, mut smallest) = (None, None, f64::INFINITY);
+    minimise_after(problem, x, factor, Before::default(), (weights, options))
+}
+
+fn minimise_after<P: Descent + ?Sized>(
+    problem: &P,
+    mut x: Vec<f64>,
+    mut factor: P::Factor,
+    Before { mut last, ratio: mut last_ratio }: Before,
+    (weights, options): (Option<&[f64]>, &Options),
+) -> Result<Minimum<P::Factor>, P::Error> {
+    let mut smallest = f64::INFINITY;
     let mut trials = 0;
     for iterations in 1..=options.iterations {
         let Some((step, size)) = step_of(&factor) else {
@@ -336,9 +365,9 @@ fn is_lower(factor: &impl Steps, cost: f64, smallest: f64) -> bool {
     factor.cost() - cost <= 1e-12 * cost + f64::MIN_POSITIVE || (is_same(factor, cost) && left_is_smaller())
 }
 
-/// Whether the sums of squares of two places differ by no more than rounding.
+/// Whether the sums of squares of two places differ by no more than rounding, or are nothing: of exact data they are all rounding.
 fn is_same(factor: &impl Steps, cost: f64) -> bool {
-    factor.cost() - cost <= ROUNDING_OF_COST * cost
+    factor.cost() - cost <= ROUNDING_OF_COST * cost + CUT * CUT
 }
 
 /// The first of a step of some size from x, its half, its quarter and so on that leads to a place that [`is_lower`], with the factor
@@ -358,6 +387,8 @@ fn downhill<P: Descent + ?Sized>(
             Ok(Some(near)) if is_lower(&near, cost, smallest) => {
                 return Ok(Some(Lower { x: whole, factor: near, part, trials: 1 }));
             }
+            // Nothing is left but rounding.
+            Ok(Some(near)) if size <= CUT && is_same(&near, cost) => return Ok(None),
             Err(error) if problem.has_no_more(&error) => return Err(error),
             Ok(_) | Err(_) => {}
         }

@@ -75,6 +75,7 @@ mod sampling;
 mod selection;
 mod significance;
 mod vector;
+mod without_unknowns;
 
 pub use accumulate::Accumulator;
 pub use arrow::{ArrowAccumulator, ArrowFactor, ArrowSpectrum, GroupSearch, Groups, OfTwoGroups};
@@ -95,7 +96,7 @@ pub use lower::Lower;
 pub use monte_carlo::{
     AdaptiveProcedure, Agreement, Interval, Trials, compare_with_gum, least_trials, numerical_tolerance,
 };
-pub use near::solve_near;
+pub use near::{solve_by_gradients, solve_near};
 pub use one_pass::{Chosen, Ends};
 pub use passes::{HuberPoint, InPasses, RobustPass, RowWeight, Weighing, huber_point, solve_in_passes};
 pub use regression::{Influence, SelectionStep, StepwiseDirection, StepwiseSelection};

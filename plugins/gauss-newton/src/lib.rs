@@ -18,10 +18,12 @@ use abbe_core::{
 };
 use abbe_estimation::{
     EstimatorSolution, Judgement, RankDeficiency, RowsAtHand, UncertaintyEvaluation, VarianceComponents, Weighted,
-    check_preferences, components, confounded, identifiability, in_order_of_preference, rival_wavelengths, separated,
-    wavelengths,
+    check_preferences, components, confounded, identifiability, in_order_of_preference, is_judged_as_recorded,
+    rival_wavelengths, separated, wavelengths,
 };
-use abbe_numerics::{Directions, Factor, LeastSquares, Options, RestrictedProblem, Robust, Solution, solve_from};
+use abbe_numerics::{
+    Directions, Factor, LeastSquares, Options, RestrictedProblem, Robust, Solution, solve_by_gradients, solve_from,
+};
 use serde_json::{Value, json};
 
 use convergence::{converged, ill};
@@ -144,11 +146,11 @@ impl GaussNewton {
         converged(solve_from(weighted, start, factor, options)?, options)
     }
 
-    /// Solves a problem; `at_start` is its factor at the start values, if it is known.
+    /// Solves a problem; `known` is a factor of its rows near the start values, if there is one, and whether it is theirs.
     fn solve(
         &self,
         problem: &Problem,
-        at_start: Option<&Factor>,
+        known: Option<(&Factor, bool)>,
         lost: Option<RankDeficiency>,
         explained: bool,
     ) -> Result<Calibration> {
@@ -159,12 +161,20 @@ impl GaussNewton {
         };
         let scaled =
             components.as_ref().map(|found| problem.with_variance_factors(&found.factors).with_values(&found.x));
-        let (problem, at_start) = scaled.as_ref().map_or((problem, at_start), |scaled| (scaled, None));
+        let (problem, known) = scaled.as_ref().map_or((problem, known), |scaled| (scaled, None));
         let weighted = self.weighted(problem)?;
         let options = self.options(self.settings.tolerance, false);
         let solution = match determined {
             Some(_) => self.iterate_within(&weighted, &problem.start(), determined, &options),
-            None => self.iterate(&weighted, &problem.start(), at_start.cloned(), &options),
+            None => match known {
+                Some(known) if !weighted.is_correlated() => {
+                    converged(solve_by_gradients(&weighted, &problem.start(), known, &options)?, &options)
+                }
+                known => {
+                    let at_start = known.filter(|(_, at_start)| *at_start).map(|(factor, _)| factor.clone());
+                    self.iterate(&weighted, &problem.start(), at_start, &options)
+                }
+            },
         };
         let Solution { x, iterations, robust, last_step, gradient_cosine, factor, .. } = solution?;
         let solved = EstimatorSolution {
@@ -242,11 +252,11 @@ impl GaussNewton {
             }
         }
         // A wave that has a position in every period is nothing but a constant: then the nominal one is the better start.
-        let mut again = Judgement::new(&found, None)?;
+        let mut again = judged.again(&found)?;
         let mut started = found;
         let rank = self.rank(again.factor());
         if rank < problem.unknowns.len() {
-            let by_nominal = Judgement::new(&nominal, None)?;
+            let by_nominal = judged.again(&nominal)?;
             if rank < self.rank(by_nominal.factor()) {
                 remarks.clear();
                 (started, again) = (nominal, by_nominal);
@@ -296,9 +306,10 @@ impl GaussNewton {
         }
         let (problem, factor) = (started.as_ref().unwrap_or(problem), judged.factor());
         let Some(determined) = self.determined(factor) else {
-            let at_start = judged.factor_at_start().filter(|_| started.is_none());
+            let at_start = started.is_none() && judged.factor_at_start().is_some();
+            let known = Some((factor, at_start)).filter(|_| is_judged_as_recorded(problem));
             return self
-                .solve(problem, at_start, None, explained)
+                .solve(problem, known, None, explained)
                 .map_err(|error| ill(problem, factor, self.settings.rank_tolerance, error));
         };
         let found = identifiability(problem, factor, self.settings.rank_tolerance);

@@ -22,8 +22,7 @@ impl GaussNewton {
             return self.iterate_within(&weighted, &start, determined, &options).map(|solution| solution.x);
         }
         let factor = at_start.map_or_else(|| weighted.factor(&start, None), Ok)?;
-        let after = |step: Vec<f64>| start.iter().zip(step).map(|(value, step)| value + step).collect::<Vec<f64>>();
-        let near = factor.step().and_then(|step| solve_near(&weighted, &after(step), &factor, &options).ok().flatten());
+        let near = solve_near(&weighted, &start, (&factor, true), &options).ok().flatten();
         match near {
             Some(x) => Ok(x),
             None => self.iterate(&weighted, &start, Some(factor), &options).map(|solution| solution.x),
@@ -44,7 +43,7 @@ impl GaussNewton {
         };
         Box::new(move |problem| {
             let options = self.options(TRIAL_TOLERANCE, true);
-            let found = solve_near(&self.weighted(problem)?, &problem.start(), &factor, &options)?;
+            let found = solve_near(&self.weighted(problem)?, &problem.start(), (&factor, false), &options)?;
             found.map_or_else(|| self.values(problem), Ok)
         })
     }

@@ -2,7 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use abbe_core::{Calibration, Figure, Findings, Limit, PathItem, Problem, Result, RowIndex, SetIndex, SettingsError};
+use abbe_core::{
+    Calibration, Figure, Findings, Limit, PathItem, Problem, Result, RowIndex, SetIndex, SettingsError, in_parallel,
+};
 
 /// Largest admissible values by [`key`].
 pub type Limits = BTreeMap<String, Limit>;
@@ -196,6 +198,25 @@ pub fn judged<F>(fits: &[F], limits: &Limits, judge: impl Fn(&F, &mut Findings) 
     fits.iter().try_for_each(|fit| judge(fit, &mut findings))?;
     set_limits(limits, &mut findings.figures);
     Ok(findings)
+}
+
+/// The same, with threads that share the fits.
+pub fn judged_side_by_side<F: Sync>(
+    fits: &[F],
+    limits: &Limits,
+    judge: impl Fn(&F, &mut Findings) -> Result<()> + Sync,
+) -> Result<Findings> {
+    let of_fits = in_parallel(fits, None, |fit| {
+        let mut findings = Findings::default();
+        judge(fit, &mut findings).map(|()| findings)
+    });
+    judged(&of_fits, limits, |found, all| {
+        let Findings { figures, remarks, tables } = found.clone()?;
+        all.figures.extend(figures);
+        all.remarks.extend(remarks);
+        all.tables.extend(tables);
+        Ok(())
+    })
 }
 
 #[cfg(test)]

@@ -14,7 +14,9 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::drift::{self, DEGREES, Drift};
-use crate::figures::{Limits, ListedOutliers, ONE, check_limits, judged, outliers, residual_limits};
+use crate::figures::{
+    Limits, ListedOutliers, ONE, check_limits, judged, judged_side_by_side, outliers, residual_limits,
+};
 use crate::in_parts::{ResidualSizes, SizesByLabel};
 use crate::prediction::predictable;
 use crate::rivals::{self, Rival};
@@ -65,7 +67,7 @@ impl Validate for Residuals {
     }
 
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
-        judged(fits, &self.settings.limits, |fit, findings| self.judge(fit, findings))
+        judged_side_by_side(fits, &self.settings.limits, |fit, findings| self.judge(fit, findings))
     }
 
     fn accepts_rows_in_parts(&self) -> bool {

@@ -1,7 +1,8 @@
 //! Derivatives of a problem times what its residuals count for, summed over all rows: no row of derivatives is made.
 
 use super::evaluation::Evaluation;
-use super::linearise::{Chunk, Columns};
+use super::in_parts::Chunk;
+use super::linearise::Columns;
 use super::{ObservationSet, Problem};
 use crate::index::{EquationIndex, RowIndex};
 use abbe_settings::Result;

@@ -9,16 +9,10 @@ use super::{Owner, Problem};
 use crate::index::{EquationIndex, IndexRange, ListedBy, RowIndex, SetIndex};
 use crate::model::{PoseBatch, Poses, Variable};
 use crate::observations::{Contact, Equations, Orientation};
-use abbe_settings::{Error, Result, free_threads, in_parallel};
+use abbe_settings::{Error, Result, free_threads};
 
 /// Rows that are evaluated together: enough to amortise a call, few enough for their derivatives to stay in the cache.
 pub const CHUNK: usize = 128;
-
-/// Parts of the rows that are summed by themselves: their number, and with it the last digits, do not depend on that of threads.
-const PARTS: usize = 8;
-
-/// Rows of a set that are evaluated together, with their first equation.
-pub type Chunk<'a> = (SetIndex, &'a [RowIndex], EquationIndex);
 
 /// Residuals and derivatives of some equations of a problem; equations come in the order of sets and rows.
 #[derive(Debug)]
@@ -124,9 +118,8 @@ impl Problem {
             .collect();
         let mut first = EquationIndex(0);
         let mut take = |linear: &Linearised| {
-            let Linearised { residuals, unknowns, derivatives } = linear;
-            sink(CompactBlock { first, residuals, unknowns, derivatives });
-            first += residuals.len();
+            sink(linear.block(first));
+            first += linear.residuals.len();
         };
         let threads = self.threads(self.unknowns.len());
         if threads > 1 && at.linearise_on(threads, &columns, &chunks, &mut take)? {
@@ -190,23 +183,8 @@ impl Problem {
         if work < WORTH_A_THREAD { 1 } else { free_threads() }
     }
 
-    /// What `work` makes of parts of the rows, in their order. Threads share them if derivatives to so many variables are worth it.
-    pub fn in_parts<R: Send>(&self, variables: usize, work: impl Fn(&[Chunk<'_>]) -> R + Sync) -> Vec<R> {
-        let mut first = EquationIndex(0);
-        let sets = SetIndex::enumerate(&self.sets);
-        let chunks = sets.flat_map(|(index, set)| set.rows.chunks(CHUNK).map(move |rows| (index, set, rows)));
-        let chunks = chunks.map(|(index, set, rows)| {
-            let start = first;
-            first += set.equations_of(rows).count();
-            (index, rows, start)
-        });
-        let chunks: Vec<Chunk<'_>> = chunks.collect();
-        let parts: Vec<&[Chunk<'_>]> = chunks.chunks(chunks.len().div_ceil(PARTS).max(1)).collect();
-        in_parallel(&parts, Some(self.threads(variables)), |part| work(part))
-    }
-
     /// Residuals and derivatives of some rows of a set at the problem's own values.
-    fn linearise_rows(
+    pub(super) fn linearise_rows(
         &self,
         index: SetIndex,
         rows: &[RowIndex],
@@ -438,13 +416,18 @@ impl Columns {
 
 /// Residuals and derivatives of some rows, as in a [`CompactBlock`].
 #[derive(Default)]
-struct Linearised {
+pub(super) struct Linearised {
     residuals: Vec<f64>,
     unknowns: Vec<usize>,
     derivatives: Vec<f64>,
 }
 
 impl Linearised {
+    pub(super) fn block(&self, first: EquationIndex) -> CompactBlock<'_> {
+        let Self { residuals, unknowns, derivatives } = self;
+        CompactBlock { first, residuals, unknowns, derivatives }
+    }
+
     /// Takes the columns of a matrix (row by row, these columns) that are not zero.
     fn keep_columns(&mut self, jacobian: &[f64], columns: &[usize]) {
         let count = columns.len();

@@ -7,6 +7,7 @@ mod considered;
 mod evaluation;
 mod first_order;
 mod gradient;
+mod in_parts;
 mod linearise;
 mod rows;
 mod tie;
@@ -26,7 +27,8 @@ use considered::{candidates, check_constraints, consider_parameters, inputs};
 
 pub use considered::{Considered, Input, Prior};
 pub use evaluation::Evaluation;
-pub use linearise::{Block, CHUNK, Chunk, CompactBlock};
+pub use in_parts::{Chunk, PartOfRows};
+pub use linearise::{Block, CHUNK, CompactBlock};
 pub use rows::{ObservationSet, RepeatedTogether};
 pub use tie::{DeclaredTie, Tie};
 

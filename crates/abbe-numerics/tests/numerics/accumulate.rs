@@ -85,6 +85,9 @@ fn rows_of_many_features_are_factorised_as_all_rows() {
         let (unknowns, count) = (shared + features * of_each, 400 + random.below(4000));
         // Some do without any unknown of all rows, and some lists have a column of zeros.
         let (mut dense, mut some) = (Accumulator::new(unknowns, 0), Accumulator::new(unknowns, count));
+        // The same rows in parts that are factorised by themselves, in lists one after another.
+        let mut parts: Vec<Accumulator> =
+            (0..1 + random.below(6)).map(|_| Accumulator::new(unknowns, random.below(count))).collect();
         let mut row = 0;
         while row < count {
             let lines: Vec<Vec<f64>> = (0..1 + random.below(60))
@@ -106,13 +109,55 @@ fn rows_of_many_features_are_factorised_as_all_rows() {
                 dense.push(line, residual, weight);
                 let own: Vec<f64> = columns.iter().map(|&unknown| line[unknown]).collect();
                 some.push_some(&columns, &own, residual, weight);
+                let part = row * parts.len() / (count + 60);
+                parts[part].push_some(&columns, &own, residual, weight);
             }
             row += lines.len();
         }
-        worst = worst.max(difference(&dense.finish(), &some.finish(), &vec![1.0; unknowns]));
+        let mut all = Accumulator::new(unknowns, 0);
+        for mut part in parts {
+            if random.below(2) == 0 {
+                part.reduce();
+            }
+            all.append(part);
+        }
+        let dense = dense.finish();
+        for other in [some.finish(), all.finish()] {
+            worst = worst.max(difference(&dense, &other, &vec![1.0; unknowns]));
+        }
     }
     println!("largest difference: {worst:.1e}");
     assert!(worst < 1e-11, "{worst:e}");
+}
+
+/// Columns that are taken out of a factor leave that of rows without them: those at the end, in the middle, many and all.
+#[test]
+fn a_factor_without_unknowns_is_that_of_rows_without_columns() {
+    let mut worst = 0.0_f64;
+    for seed in 0..300 {
+        let random = &mut Random::new(seed);
+        let unknowns = 1 + random.below(12);
+        let rows = unknowns + random.below(40);
+        let problem = Linear::random(random, rows, unknowns);
+        let one_of = 1 + random.below(4);
+        let dropped: Vec<bool> = (0..unknowns).map(|_| random.below(one_of) == 0).collect();
+        let kept: Vec<usize> = (0..unknowns).filter(|unknown| !dropped[*unknown]).collect();
+        let mut rows = Accumulator::new(kept.len(), problem.rows.len());
+        for (row, residual) in problem.rows.iter().zip(&problem.residuals) {
+            rows.push(&kept.iter().map(|&unknown| row[unknown]).collect::<Vec<f64>>(), *residual, 1.0);
+        }
+        let (direct, found) = (rows.finish(), problem.factor(40).without_unknowns(|unknown| dropped[unknown]));
+        if kept.is_empty() {
+            assert!(found.unknowns() == 0 && close(found.cost(), direct.cost(), direct.cost()) < 1e-13);
+            continue;
+        }
+        worst = worst.max(
+            difference(&direct, &found, &vec![1.0; kept.len()])
+                / direct.singular_values().condition(kept.len()).powi(2),
+        );
+    }
+    println!("largest difference: {worst:.1e}");
+    assert!(worst < 1e-13, "{worst:e}");
 }
 
 #[test]

@@ -4,7 +4,9 @@
 use std::cell::Cell;
 use std::convert::Infallible;
 
-use abbe_numerics::{Accumulator, End, LeastSquares, Options, RestrictedProblem, Robust, Sink, Solution, solve};
+use abbe_numerics::{
+    Accumulator, End, LeastSquares, Options, RestrictedProblem, Robust, Sink, Solution, solve, solve_by_gradients,
+};
 
 use crate::problems::{Given, Linear, Linearised, Random, dot, given, norm};
 
@@ -366,6 +368,99 @@ fn random_problems_end_within_the_tolerance() {
         let off = minimum.factor.row_norm(&off);
         assert!(off <= 3.0 * tolerance, "case {case}: {off:e} off, {tolerance:e} asked");
     }
+}
+
+/// From the factor of rows nearby, of the rows at the start, or of rows that have nothing to do with the problem: the minimum is the same.
+#[test]
+fn steps_by_gradients_end_where_full_steps_do() {
+    let random = &mut Random::new(6);
+    let mut compared = 0;
+    for case in 0..2000 {
+        let t = times(12);
+        let noise = 10_f64.powi(-(case % 6));
+        let truth = [1.0 + random.signed().abs(), random.signed()];
+        let y: Vec<f64> = t.iter().map(|t| truth[0] * (truth[1] * t).exp() + noise * random.normal()).collect();
+        let problem = exponential(&t, &y);
+        let tolerance = [1e-4, 1e-6, 1e-8][case as usize % 3];
+        let options = Options { iterations: 2000, tolerance, ..Options::USUAL };
+        let near = 0.1_f64.powi(case % 5);
+        let start = [truth[0] + near * random.signed(), truth[1] + near * random.signed()];
+        let minimum = run(&problem, &start, &Options { tolerance: 1e-13, rounding: 1e-6, ..options });
+        if minimum.end != End::Converged {
+            continue;
+        }
+        let beside = [start[0] + 0.01 * near, start[1] - 0.01 * near];
+        let Ok(at_start) = problem.factor(&start, None);
+        let Ok(nearby) = problem.factor(&beside, None);
+        let unrelated = Linear::random(random, 9, 2).factor(9);
+        for (factor, is_at_start) in [(&at_start, true), (&at_start, false), (&nearby, false), (&unrelated, false)] {
+            let Ok(found) = solve_by_gradients(&problem, &start, (factor, is_at_start), &options);
+            assert_eq!(found.end, End::Converged, "case {case}");
+            let off: Vec<f64> = found.x.iter().zip(&minimum.x).map(|(one, other)| one - other).collect();
+            let off = minimum.factor.row_norm(&off);
+            assert!(off <= 3.0 * tolerance, "case {case}: {off:e} off, {tolerance:e} asked");
+            // The factor is that of the minimum.
+            let scale = minimum.factor.norms().iter().zip(found.factor.norms());
+            assert!(scale.clone().all(|(one, other)| (one / other - 1.0).abs() < 1e-3), "case {case}");
+        }
+        // Fewest iterations are never exceeded, and what is missing is said.
+        let Ok(short) = solve_by_gradients(&problem, &start, (&at_start, true), &Options { iterations: 2, ..options });
+        assert!(
+            short.iterations <= 2 && (short.end == End::Converged || short.end == End::IterationLimit),
+            "{short:?}"
+        );
+        compared += 1;
+    }
+    assert!(compared > 1500, "{compared}");
+}
+
+/// The time is over after so many evaluations: the last place is told, with the size of the step that led there.
+#[test]
+fn steps_by_gradients_tell_where_they_were_when_the_time_is_over() {
+    struct Ends<'a, P>(&'a P, Cell<usize>);
+    impl<P: LeastSquares<Error = Infallible>> LeastSquares for Ends<'_, P> {
+        type Error = &'static str;
+
+        fn unknowns(&self) -> usize {
+            self.0.unknowns()
+        }
+
+        fn rows(&self) -> usize {
+            self.0.rows()
+        }
+
+        fn is_out_of_time(&self, _: &Self::Error) -> bool {
+            true
+        }
+
+        fn linearise(&self, x: &[f64], sink: Sink<'_>) -> Result<(), Self::Error> {
+            self.1.set(self.1.get().checked_sub(1).ok_or("late")?);
+            let Ok(()) = self.0.linearise(x, sink);
+            Ok(())
+        }
+    }
+    let t = times(30);
+    let y: Vec<f64> = t.iter().enumerate().map(|(row, t)| 2.5 * (0.7 * t).exp() + 0.01 * (row % 3) as f64).collect();
+    let problem = exponential(&t, &y);
+    let Ok(factor) = problem.factor(&[2.49, 0.69], None);
+    let full = run(&problem, &[2.49, 0.69], &FULL);
+    let mut last = f64::INFINITY;
+    for evaluations in 0..12 {
+        let ends = Ends(&problem, Cell::new(evaluations));
+        match solve_by_gradients(&ends, &[2.49, 0.69], (&factor, true), &FULL) {
+            Ok(found) if found.end == End::TimeLimit => {
+                assert!(found.iterations >= 1 && found.last_step <= last, "{evaluations}: {found:?}");
+                last = found.last_step;
+            }
+            Ok(found) => {
+                assert_eq!(found.end, End::Converged);
+                assert!((found.x[0] - full.x[0]).abs() < 1e-10 && evaluations > 3, "{evaluations}");
+                return;
+            }
+            Err(error) => panic!("{evaluations}: {error}, and a step had been taken"),
+        }
+    }
+    panic!("it does not end");
 }
 
 #[test]
