@@ -170,11 +170,11 @@ fn a_plugin_that_fails_at_a_step_ends_the_run_and_one_that_refuses_it_is_asked_f
             assert_eq!(text.matches("asked away from the start").count(), 1, "{mode}: {text}");
         }
     }
-    // The whole step and 19 halves are refused; then the refusal is told.
+    // The whole step, of which a gradient is asked first, and 19 halves are refused; then the refusal is told.
     for isolate in [false, true] {
         let (printed, text) = misbehave("away-fail", isolate);
         assert!(printed.status == 1 && text.contains("the vendor says no"), "{text}");
-        assert_eq!(text.matches("asked away from the start").count(), 20, "{text}");
+        assert_eq!(text.matches("asked away from the start").count(), 21, "{text}");
     }
 }
 
