@@ -55,8 +55,8 @@ impl Judgement {
         Self::with_terms(problem, kept, |judged| norms_of_terms(judged, kept))
     }
 
-    /// Judges the same problem again where parameters that shape functions, and those that they shape, have other values: only what these
-    /// do is found anew.
+    /// Judges the same problem, with the same unknowns, again where parameters that shape functions, and those that they shape, have other
+    /// values: of [`terms`](Self::terms) only those of these are found anew. Fails as [`new`](Self::new) does.
     pub fn again(&self, problem: &Problem) -> Result<Self> {
         let held = held(problem);
         let is_held = |unknown: &Unknown| match unknown.owner {

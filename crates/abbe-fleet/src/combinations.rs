@@ -132,7 +132,7 @@ fn table(name: &str, node: &Node<'_>, folder: &Path) -> Result<Vec<(Variables, V
 fn line_of(record: &csv::StringRecord, text: &str) -> usize {
     let Some(position) = record.position() else { return 1 };
     let rest = text.get(position.byte() as usize..).unwrap_or_default();
-    let is_before_it = |line: &&str| line.trim().is_empty() || line.starts_with('#');
+    let is_before_it = |line: &&str| line.is_empty() || line.starts_with('#');
     position.line() as usize + rest.lines().take_while(is_before_it).count()
 }
 

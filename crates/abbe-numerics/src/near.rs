@@ -1,4 +1,4 @@
-//! The minimum next to a point whose factor is known: trials of Monte Carlo.
+//! The minimum next to a point whose factor is known: trials of Monte Carlo, and the first steps of fits.
 
 use crate::descent::Descent;
 use crate::factor::Factor;

@@ -423,6 +423,7 @@ pub(super) struct Linearised {
 }
 
 impl Linearised {
+    /// As a block that begins with this equation.
     pub(super) fn block(&self, first: EquationIndex) -> CompactBlock<'_> {
         let Self { residuals, unknowns, derivatives } = self;
         CompactBlock { first, residuals, unknowns, derivatives }
