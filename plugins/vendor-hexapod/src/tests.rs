@@ -134,7 +134,9 @@ fn a_step_to_where_struts_hold_no_platform_is_halved() {
         }
         let before = model.refused.load(Ordering::Relaxed);
         let found = estimator.estimate(&problem.with_values(&start));
-        let halved = model.refused.load(Ordering::Relaxed) > before;
+        // The first step is tried by a gradient and the triangle of the nominal hexapod, which lead far out from here: one refusal.
+        // Each further one is that of a step that is halved.
+        let halved = model.refused.load(Ordering::Relaxed) > before + 1;
         match found {
             Ok(found) => {
                 let off = problem.values_of(&found).iter().fold(0.0_f64, |off, value| off.max(value.abs()));
