@@ -1,5 +1,6 @@
 //! How long the pipelines take, beside the time of one QR decomposition, which tells how fast the machine is.
 
+use std::cell::LazyCell;
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -8,17 +9,32 @@ use std::time::Duration;
 use abbe_bundle as _;
 use abbe_compensation::{Compensator, Correct, Settings};
 use abbe_controllers::{Dialect, Machine, Options, compensate};
-use abbe_core::{Build, Calibration, Context, Error, Fit, Problem, Registry, StatusRole, machine_values};
+use abbe_core::{
+    Build, Calibration, Context, Error, Fit, Kind, KinematicModel, Poses, Problem, Registry, StatusRole, in_parallel,
+    machine_values,
+};
 use abbe_engine::{model_of, prepare};
 use abbe_plugin::{Library, Limits};
 use abbe_thermal::{Hold, Output, Reference, SensorLog, Structure};
 use criterion::{Criterion, criterion_group, criterion_main};
 use faer::Mat;
 
-/// The fits of a recipe of the repository.
-fn fits(recipe: &str) -> Result<Vec<Fit>, Error> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../pipelines").join(recipe);
-    Ok(prepare(&path, &Registry::built_in()?)?.run(&abbe_core::Monitor::default())?.fits)
+/// A fit of a recipe of the repository. It takes a whole run, so it is made only for what is measured.
+fn fit_of(recipe: &'static str, name: &'static str) -> LazyCell<Fit, impl FnOnce() -> Fit> {
+    LazyCell::new(move || {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../pipelines").join(recipe);
+        let fits = Registry::built_in()
+            .and_then(|registry| prepare(&path, &registry)?.run(&abbe_core::Monitor::default()))
+            .unwrap_or_else(|error| panic!("{error}"))
+            .fits;
+        let of_name = fits.into_iter().find(|fit| fit.name == name);
+        of_name.unwrap_or_else(|| panic!("{recipe} has no {name}"))
+    })
+}
+
+/// The fit S4 of a five-axis machine.
+fn tango_s4() -> LazyCell<Fit, impl FnOnce() -> Fit> {
+    fit_of("tango-hu40t-exact.yaml", "fit-S4")
 }
 
 /// The unit of all times: one QR decomposition of a dense matrix of the size of the fit S4.
@@ -41,16 +57,15 @@ fn product(criterion: &mut Criterion) {
 }
 
 fn tango(criterion: &mut Criterion) {
-    let fits = fits("tango-hu40t-exact.yaml").unwrap_or_else(|error| panic!("{error}"));
-    let Some(fit) = fits.iter().find(|fit| fit.name == "fit-S4") else { panic!("the recipe has no fit-S4") };
+    let fit = tango_s4();
     criterion.bench_function("tango_s4_fit", |bencher| {
         bencher.iter(|| fit.estimator.estimate(black_box(&fit.problem)).map(|calibration| calibration.fit.sigma))
     });
-    let Some(fit) = fits.iter().find(|fit| fit.name == "fit-S3") else { panic!("the recipe has no fit-S3") };
-    let problem = fit.problem.with_values(&fit.problem.values_of(&fit.calibration));
-    let errors: Vec<f64> = (0..problem.equations()).map(|row| 1e-3 * ((row * 7 % 11) as f64 - 5.0) / 3.0).collect();
-    let values = fit.estimator.values_near(&problem);
+    let fit = fit_of("tango-hu40t-exact.yaml", "fit-S3");
     criterion.bench_function("tango_s3_trial", |bencher| {
+        let problem = fit.problem.with_values(&fit.problem.values_of(&fit.calibration));
+        let errors: Vec<f64> = (0..problem.equations()).map(|row| 1e-3 * ((row * 7 % 11) as f64 - 5.0) / 3.0).collect();
+        let values = fit.estimator.values_near(&problem);
         bencher.iter(|| values(&problem.disturbed(black_box(&errors))).map(|values| values[0]))
     });
     criterion.bench_function("tango_run", |bencher| {
@@ -64,8 +79,7 @@ fn tango(criterion: &mut Criterion) {
 
 /// The bridge CMM: 73 parameters from 2,011 lengths, and fifty lengths chosen for 32 parameters out of 3,978 in 20 searches.
 fn cmm(criterion: &mut Criterion) {
-    let fits = fits("cmm-brute-force.yaml").unwrap_or_else(|error| panic!("{error}"));
-    let fit = &fits[0];
+    let fit = fit_of("cmm-brute-force.yaml", "fit");
     criterion.bench_function("cmm_brute_force", |bencher| {
         bencher.iter(|| fit.estimator.estimate(black_box(&fit.problem)).map(|calibration| calibration.fit.sigma))
     });
@@ -80,8 +94,7 @@ fn cmm(criterion: &mut Criterion) {
 
 /// All direct measurements of a milling machine at once: 19,668 rows, 550 unknowns.
 fn mill(criterion: &mut Criterion) {
-    let fits = fits("mill-direct-exact.yaml").unwrap_or_else(|error| panic!("{error}"));
-    let Some(fit) = fits.iter().find(|fit| fit.name == "fit") else { panic!("the recipe has no fit") };
+    let fit = fit_of("mill-direct-exact.yaml", "fit");
     criterion.bench_function("mill_joint_fit", |bencher| {
         bencher.iter(|| fit.estimator.estimate(black_box(&fit.problem)).map(|calibration| calibration.fit.sigma))
     });
@@ -122,36 +135,66 @@ fn thermal(criterion: &mut Criterion) {
     });
 }
 
-/// Corrected set-points of the five-axis machine, position and tool axis: 10,000 between the ends of its travel.
-fn set_points(criterion: &mut Criterion) {
-    const COUNT: u32 = 10_000;
-    let fits = fits("tango-hu40t-exact.yaml").unwrap_or_else(|error| panic!("{error}"));
-    let Some(fit) = fits.iter().find(|fit| fit.name == "fit-S4") else { panic!("the recipe has no fit-S4") };
-    let model = fit.problem.model.as_ref();
-    let values = machine_values(model, &fit.calibration);
-    let mut statuses = Vec::new();
-    for point in 0..COUNT {
-        let part = 0.3 + 0.4 * f64::from(point) / f64::from(COUNT);
-        let mut status: Vec<f64> = (model.info().status.iter())
-            .map(|column| match column.role {
-                StatusRole::Direction(_) => 1.0,
-                _ => 0.0,
-            })
-            .collect();
-        for axis in &model.info().axes {
+/// Statuses of so many poses of a machine along a line through the middle of its travel, all directions positive.
+fn statuses(model: &dyn KinematicModel, count: u32) -> Vec<f64> {
+    let info = model.info();
+    let of_pose = |point: u32| {
+        let part = 0.3 + 0.4 * f64::from(point) / f64::from(count);
+        let direction = |role: &StatusRole| if matches!(role, StatusRole::Direction(_)) { 1.0 } else { 0.0 };
+        let mut status: Vec<f64> = info.status.iter().map(|column| direction(&column.role)).collect();
+        for axis in &info.axes {
             let [from, to] = axis.range.unwrap_or([-100.0, 100.0]);
             status[axis.status] = from + part * (to - from);
         }
-        statuses.extend(status);
+        status
+    };
+    (0..count).flat_map(of_pose).collect()
+}
+
+/// A million tips of the five-axis machine, to first order in its errors and exactly, on all cores.
+fn predictions(criterion: &mut Criterion) {
+    const COUNT: u32 = 1_000_000;
+    let fit = tango_s4();
+    for evaluation in ["first-order", "exact"] {
+        let model = LazyCell::new(|| {
+            let mut settings = fit.problem.model.info().settings.clone();
+            settings["evaluation"] = evaluation.into();
+            let registry = Registry::built_in().unwrap_or_else(|error| panic!("{error}"));
+            let Ok(Build::Model(model)) = registry.find(Kind::Model, "serial-chain").map(|plugin| &plugin.build) else {
+                panic!("there is no serial chain")
+            };
+            let built = model.build(&settings, &Context { base: PathBuf::new() });
+            let built = built.map_err(|error| Error::data(error.to_string())).and_then(|model| model.build(&[]));
+            let model = built.unwrap_or_else(|error| panic!("{error}"));
+            let (values, statuses) = (machine_values(model.as_ref(), &fit.calibration), statuses(&*model, COUNT));
+            (model, values, statuses)
+        });
+        criterion.bench_function(&format!("tips_1000000_{}", evaluation.replace('-', "_")), |bencher| {
+            let (model, values, statuses) = &*model;
+            let parts: Vec<&[f64]> = statuses.chunks(1000 * model.info().status.len()).collect();
+            bencher.iter(|| {
+                in_parallel(&parts, None, |part| {
+                    let mut poses = Poses::default();
+                    model.poses(part, values, &[], false, &mut poses).map(|()| poses.positions)
+                })
+            });
+        });
     }
+}
+
+/// Corrected set-points of the five-axis machine, position and tool axis: 10,000 between the ends of its travel.
+fn set_points(criterion: &mut Criterion) {
+    let fit = tango_s4();
     let wide = Settings {
         correct: Correct::FiveAxes,
         largest_tip_correction_mm: 1e3,
         largest_axis_correction_mrad: 1e3,
         ..Settings::default()
     };
-    let compensator = Compensator::new(model, &values, &wide).unwrap_or_else(|error| panic!("{error}"));
     criterion.bench_function("set_points_10000", |bencher| {
+        let model = fit.problem.model.as_ref();
+        let (values, statuses) = (machine_values(model, &fit.calibration), statuses(model, 10_000));
+        let compensator = Compensator::new(model, &values, &wide).unwrap_or_else(|error| panic!("{error}"));
         bencher.iter(|| compensator.correct(black_box(&statuses)).unwrap_or_else(|error| panic!("{error}")).1.len())
     });
 }
@@ -216,18 +259,16 @@ fn built(packages: &[&str]) -> PathBuf {
 
 /// The same fit with the model built in, through the border of a library, and in a process of its own.
 fn border(criterion: &mut Criterion) {
-    let folder = built(&["abbe", "abbe-stock-library"]);
+    let folder = LazyCell::new(|| built(&["abbe", "abbe-stock-library"]));
     let name = format!("{}abbe_stock_library{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
-    let library = folder.join(name);
-    let limits = Limits {
+    let limits = || Limits {
         program: folder.join("abbe"),
         arguments: ["plugin", "serve"].map(str::to_owned).to_vec(),
         answer_timeout: Duration::from_secs(60),
         total_time: Duration::from_secs(3600),
         memory_limit_mib: abbe_plugin::MEMORY_LIMIT_MIB,
     };
-    let fits = fits("tango-hu40t-exact.yaml").unwrap_or_else(|error| panic!("{error}"));
-    let Some(fit) = fits.iter().find(|fit| fit.name == "fit-S4") else { panic!("the recipe has no fit-S4") };
+    let fit = tango_s4();
     let through = |library: Result<Library, Error>| -> Result<Problem, Error> {
         let plugins = library?.plugins;
         let model = plugins.iter().find(|plugin| plugin.name == "serial-chain").map(|plugin| &plugin.build);
@@ -236,11 +277,15 @@ fn border(criterion: &mut Criterion) {
         let model = built.map_err(|error| Error::data(error.to_string()))?.build(&[])?;
         Ok(Problem { model, ..fit.problem.as_ref().clone() })
     };
-    let dynamic = through(abbe_plugin::load(&library, None)).unwrap_or_else(|error| panic!("{error}"));
-    let isolated = through(abbe_plugin::isolated(&library, None, &limits)).unwrap_or_else(|error| panic!("{error}"));
-    for (name, problem) in [("built_in", fit.problem.as_ref()), ("dynamic", &dynamic), ("isolated", &isolated)] {
+    let built_in = || Ok(fit.problem.as_ref().clone());
+    let dynamic = || through(abbe_plugin::load(&folder.join(&name), None));
+    let isolated = || through(abbe_plugin::isolated(&folder.join(&name), None, &limits()));
+    let problems: [(&str, &dyn Fn() -> Result<Problem, Error>); 3] =
+        [("built_in", &built_in), ("dynamic", &dynamic), ("isolated", &isolated)];
+    for (name, problem) in problems {
         criterion.bench_function(&format!("tango_s4_fit_{name}"), |bencher| {
-            bencher.iter(|| fit.estimator.estimate(black_box(problem)).map(|calibration| calibration.fit.sigma))
+            let problem = problem().unwrap_or_else(|error| panic!("{error}"));
+            bencher.iter(|| fit.estimator.estimate(black_box(&problem)).map(|calibration| calibration.fit.sigma))
         });
     }
 }
@@ -248,6 +293,6 @@ fn border(criterion: &mut Criterion) {
 criterion_group! {
     name = benches;
     config = Criterion::default().sample_size(20).warm_up_time(Duration::from_secs(1)).without_plots();
-    targets = qr, product, tango, cmm, mill, thermal, set_points, programs, border
+    targets = qr, product, tango, cmm, mill, thermal, predictions, set_points, programs, border
 }
 criterion_main!(benches);

@@ -163,6 +163,23 @@ impl WithSimd for Whole<'_> {
     }
 }
 
+/// An evaluation to first order without derivatives: compiled for each kind of vector unit.
+struct ToFirstOrder<'a> {
+    chain: &'a Chain,
+    given: Given<'a>,
+    out: &'a mut Evaluations,
+}
+
+impl WithSimd for ToFirstOrder<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { chain, given, out } = self;
+        out.walk_nominally(simd, chain, given);
+    }
+}
+
 impl Evaluations {
     /// Room for as many poses as this processor takes at once.
     pub fn side_by_side() -> Self {
@@ -204,6 +221,15 @@ impl Evaluations {
 
     /// The exact poses of a chain, with `derivatives` at these errors.
     pub fn evaluate(&mut self, chain: &Chain, given: Given<'_>, derivatives: Derivatives<'_>) {
+        self.make_room(chain, derivatives);
+        let (poses, whole) = (self.poses, Whole { chain, given, derivatives, out: self });
+        match poses {
+            1 => whole.with_simd(Scalar),
+            _ => Arch::new().dispatch(whole),
+        }
+    }
+
+    fn make_room(&mut self, chain: &Chain, derivatives: Derivatives<'_>) {
         let (axes, wants) = (chain.axes().len(), derivatives != Derivatives::None);
         let (wanted, turns) = match derivatives {
             Derivatives::None => (0, 0),
@@ -219,15 +245,19 @@ impl Evaluations {
         let commands = if wants { axes } else { 0 };
         self.by_command.resize(vectors * commands, 0.0);
         self.turn_by_command.resize(vectors * commands, 0.0);
-        let (poses, whole) = (self.poses, Whole { chain, given, derivatives, out: self });
-        match poses {
-            1 => whole.with_simd(Scalar),
-            _ => Arch::new().dispatch(whole),
-        }
     }
 
-    /// The poses of a chain to first order in the errors, with all derivatives of these ([`Chain::evaluate_first_order`]).
-    pub fn evaluate_first_order(&mut self, chain: &Chain, given: Given<'_>) {
+    /// The poses of a chain to first order in the errors, with all derivatives of these if some are wanted
+    /// ([`Chain::evaluate_first_order`]).
+    pub fn evaluate_first_order(&mut self, chain: &Chain, given: Given<'_>, derivatives: Derivatives<'_>) {
+        if derivatives == Derivatives::None {
+            self.make_room(chain, derivatives);
+            let (poses, whole) = (self.poses, ToFirstOrder { chain, given, out: self });
+            return match poses {
+                1 => whole.with_simd(Scalar),
+                _ => Arch::new().dispatch(whole),
+            };
+        }
         let (poses, mut one) = (self.poses, Evaluation::default());
         for pose in 0..poses {
             let of_pose = |list: &[f64]| -> Vec<f64> { list.iter().skip(pose).step_by(poses).copied().collect() };
@@ -258,20 +288,48 @@ impl Evaluations {
     /// Walks both branches; returns the directions of the table, and the tip, bed coordinates.
     #[inline(always)]
     fn walk_both<S: Simd>(&mut self, simd: S, chain: &Chain, given: Given<'_>) -> (Directions<S>, Vector<S>) {
-        let mut workpiece = Frame::bed(simd);
+        let [workpiece, tool] = self.ends(chain, given, || Frame::bed(simd));
+        let table = workpiece.directions;
+        self.write_pose(table.inwards(tool.origin - workpiece.origin), table.all_inwards(tool.directions.0));
+        (table, tool.origin)
+    }
+
+    /// Walks both branches as if there were no errors, and adds what these do, to first order.
+    #[inline(always)]
+    fn walk_nominally<S: Simd>(&mut self, simd: S, chain: &Chain, given: Given<'_>) {
+        let [workpiece, tool] = self.ends(chain, given, || Frame::nominal_bed(simd));
+        let (Some(of_workpiece), Some(of_tool)) = (workpiece.sum, tool.sum) else { return };
+        let (table, tip) = (workpiece.directions, tool.origin);
+        let shift = of_tool.shift_at(tip) - of_workpiece.shift_at(tip);
+        self.write_pose(table.inwards(tip - workpiece.origin + shift), table.all_inwards(tool.directions.0));
+        let mut turns = [0.0; 3 * MOST];
+        let turns = &mut turns[..3 * self.poses];
+        table.inwards(of_tool.turn - of_workpiece.turn).write(S::as_mut_simd_f64s(turns).0, 0);
+        for pose in 0..self.poses {
+            let turned = Rotation3::new(vector(turns, 0, (self.poses, pose))) * self.pose(pose).rotation();
+            let numbers = self.rotations.iter_mut().skip(pose).step_by(self.poses);
+            numbers.zip(&turned).for_each(|(number, turned)| *number = *turned);
+        }
+    }
+
+    /// The table, and the frame of the tool at its tip.
+    #[inline(always)]
+    fn ends<S: Simd>(&mut self, chain: &Chain, given: Given<'_>, bed: impl Fn() -> Frame<S>) -> [Frame<S>; 2] {
+        let mut workpiece = bed();
         self.walk(chain, Branch::Workpiece, &mut workpiece, given);
         self.err(&mut workpiece, chain.workpiece_slot(), given.errors);
-        let mut tool = Frame::bed(simd);
+        let mut tool = bed();
         self.walk(chain, Branch::Tool, &mut tool, given);
-        let tip = Vector::at(simd, S::as_simd_f64s(given.tips).0, 0);
+        let tip = Vector::at(tool.simd, S::as_simd_f64s(given.tips).0, 0);
         tool.origin = tool.origin + tool.directions.outwards(tip);
         self.err(&mut tool, chain.tool_slot(), given.errors);
-        let table = workpiece.directions;
-        let position = table.inwards(tool.origin - workpiece.origin);
+        [workpiece, tool]
+    }
+
+    #[inline(always)]
+    fn write_pose<S: Simd>(&mut self, position: Vector<S>, rotation: [Vector<S>; 3]) {
         position.write(S::as_mut_simd_f64s(&mut self.positions).0, 0);
-        let rotation = Directions(table.all_inwards(tool.directions.0));
-        rotation.write(S::as_mut_simd_f64s(&mut self.rotations).0, 0);
-        (table, tool.origin)
+        Directions(rotation).write(S::as_mut_simd_f64s(&mut self.rotations).0, 0);
     }
 
     /// Walks one branch from the bed outwards.
@@ -302,6 +360,10 @@ impl Evaluations {
         let width = self.poses;
         let errors = &errors[6 * width * slot..6 * width * (slot + 1)];
         let (shifts, turns) = errors.split_at(3 * width);
+        if let Some(sum) = frame.sum {
+            frame.sum = Some(frame.add_to(sum, (shifts, turns)));
+            return;
+        }
         if any(shifts) {
             frame.origin =
                 frame.origin + frame.directions.outwards(Vector::at(frame.simd, S::as_simd_f64s(shifts).0, 0));

@@ -135,7 +135,7 @@ impl SerialChain {
             let Work { errors, commands, tips, poses, .. } = &mut work;
             let given = Given { commands, errors, tips };
             match self.first_order {
-                true => poses.evaluate_first_order(&self.chain, given),
+                true => poses.evaluate_first_order(&self.chain, given, derivatives),
                 false => poses.evaluate(&self.chain, given, derivatives),
             }
             for (place, status) in statuses.chunks_exact(columns).enumerate() {

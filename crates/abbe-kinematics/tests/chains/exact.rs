@@ -71,12 +71,7 @@ fn poses_side_by_side_are_those_that_each_is_alone() {
                 (if random.below(4) == 0 { vec![0.0; commands.len()] } else { commands }, errors)
             })
             .collect();
-        let beside = |count: usize, number: &dyn Fn(usize, usize) -> f64| -> Vec<f64> {
-            (0..count).flat_map(|place| (0..poses).map(move |pose| number(place, pose))).collect()
-        };
-        let commands = beside(chain.axes().len(), &|axis, pose| each[pose].0[axis]);
-        let errors = beside(6 * chain.slots(), &|error, pose| each[pose].1.as_flattened()[error]);
-        let tips = beside(3, &|coordinate, _| machine.tip[coordinate]);
+        let [commands, errors, tips] = subject::beside(&machine, &each);
         let given = Given { commands: &commands, errors: &errors, tips: &tips };
         all.evaluate(&chain, given, Derivatives::OfPositionAndRotation(&vec![true; chain.slots()]));
         for (number, (commands, errors)) in each.iter().enumerate() {

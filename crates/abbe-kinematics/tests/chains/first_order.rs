@@ -1,7 +1,7 @@
 //! Proves that the first-order form misses the exact one by the square of the errors, that both have the same
 //! derivative at zero, and that first-order evaluations have the derivatives of themselves.
 
-use abbe_kinematics::{Chain, Errors, Evaluation};
+use abbe_kinematics::{Chain, Derivatives, Errors, Evaluation, Evaluations, Given};
 
 use crate::oracle::{Machine, Random, rotation_vector};
 use crate::{derivatives, subject};
@@ -82,4 +82,33 @@ fn first_order_evaluations_have_the_derivatives_of_themselves() {
     let worst = derivatives::worst(0..20, first_order);
     println!("largest deviation of a derivative: {worst:.1e} of the largest of its kind");
     assert!(worst < 1e-7, "{worst:e}");
+}
+
+/// Without derivatives, several poses are evaluated at once, in another way: the nominal one, and the errors beside it.
+#[test]
+fn first_order_poses_without_derivatives_are_the_same() {
+    let mut farthest = 0.0_f64;
+    for seed in 0..400 {
+        let random = &mut Random::new(seed);
+        let machine = Machine::random(random);
+        let chain = subject::chain(&machine);
+        let mut all = if seed % 4 == 0 { Evaluations::one() } else { Evaluations::side_by_side() };
+        let poses: Vec<(Vec<f64>, Vec<Errors>)> = (0..all.poses())
+            .map(|_| {
+                let slots = subject::slots(&chain, &machine.random_errors(random, 50.0, 0.3));
+                (machine.random_commands(random), slots)
+            })
+            .collect();
+        let [commands, errors, tips] = subject::beside(&machine, &poses);
+        let given = Given { commands: &commands, errors: &errors, tips: &tips };
+        all.evaluate_first_order(&chain, given, Derivatives::None);
+        for (pose, (commands, slots)) in poses.iter().enumerate() {
+            let expected = first_order(&machine, &chain, commands, slots);
+            let off = (all.pose(pose).position() - expected.position).norm() / (machine.size(commands) + 1e3);
+            let turned = (all.pose(pose).rotation() - expected.rotation).norm();
+            farthest = farthest.max(off).max(turned);
+        }
+    }
+    println!("largest deviation: {farthest:.1e}");
+    assert!(farthest < 1e-12, "{farthest:e}");
 }

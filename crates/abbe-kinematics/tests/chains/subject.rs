@@ -41,3 +41,16 @@ pub fn evaluate(machine: &Machine, chain: &Chain, commands: &[f64], slots: &[Err
     );
     out
 }
+
+/// Commands, errors and tips of some poses, those of one axis of all poses one after another, and so on.
+pub fn beside(machine: &Machine, poses: &[(Vec<f64>, Vec<Errors>)]) -> [Vec<f64>; 3] {
+    let (commands, errors) = &poses[0];
+    let all = |count: usize, number: &dyn Fn(usize, usize) -> f64| -> Vec<f64> {
+        (0..count).flat_map(|place| (0..poses.len()).map(move |pose| number(place, pose))).collect()
+    };
+    [
+        all(commands.len(), &|axis, pose| poses[pose].0[axis]),
+        all(6 * errors.len(), &|error, pose| poses[pose].1.as_flattened()[error]),
+        all(3, &|coordinate, _| machine.tip[coordinate]),
+    ]
+}
