@@ -235,3 +235,16 @@ fn a_factor_for_uncertainties_that_nobody_limits_is_refused() {
     write(&small.path("recipe.yaml"), &stage("expanded_um"));
     assert_eq!(small.abbe(&["check", "recipe.yaml"]).status, 0);
 }
+
+/// An update that estimates nothing is nothing to fail on.
+#[test]
+fn an_update_without_parameters_is_checked_as_it_runs() {
+    let folder = temporary();
+    let recipe =
+        Variant::of(&recipes()["warming-days"]).only(&["month", "today"]).set("today", "parameters", json!([]));
+    recipe.write(folder.path());
+    for command in [&["check", "recipe.yaml"][..], &["run", "recipe.yaml", "--out", "out"]] {
+        let printed = abbe(folder.path(), command);
+        assert_eq!(printed.status, 0, "{command:?}: {}", said(&printed));
+    }
+}

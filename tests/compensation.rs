@@ -289,6 +289,14 @@ fn what_cannot_or_may_not_be_corrected_is_told_or_refused() {
         let [x, y, z] = point.after.tip;
         assert!((0.6 * y + 0.8 * z).abs() < 1e-9 && (x - point.before.tip[0]).abs() < 1e-5, "{point:?}");
     }
+    // An axis that moves the tip nowhere along it corrects nothing.
+    for method in [Method::Exact, Method::FirstOrder] {
+        let correct = Correct::Axes(vec!["X".to_owned()]);
+        let nothing = Settings { correct, method, sensitive_direction: Some([0.0, 0.0, 1.0]), ..Settings::default() };
+        let error = refused(&nothing).unwrap_err();
+        let words = "X moves the tip nowhere along the sensitive direction [0, 0, 1]";
+        assert!(error.message.contains(words) && error.pose.is_some(), "{error}");
+    }
 
     // At the end of travel an axis is refused, or held, and what remains is told.
     let mut at_end = points.statuses()[..model.info().status.len()].to_vec();

@@ -454,3 +454,31 @@ fn rows_of_the_fit_in_a_file_that_judges_it_are_told() {
     assert!(told.contains(words) && told.contains("judged.csv:"), "{told}");
     assert!(!said(0).contains("estimated from rows"));
 }
+
+/// Rows of the fit where others are to judge it: the same stage, the same file, and a part of it under another name.
+#[test]
+fn spheres_of_the_fit_that_judge_it_are_told() {
+    let words = "was estimated from rows that it is judged by here";
+    let told = |change: &dyn Fn(&mut Variant, &Path)| {
+        let (folder, mut recipe) =
+            (temporary(), Variant::of(&recipes()["sphere-hu40t"]).only(&["fit", "validation-set"]));
+        change(&mut recipe, folder.path());
+        let remarks: Vec<String> = recipe.run().verdicts.into_iter().flat_map(|verdict| verdict.remarks).collect();
+        remarks.iter().filter(|text| text.contains(words)).count()
+    };
+    assert_eq!(told(&|_, _| ()), 0);
+    assert_eq!(told(&|recipe, _| recipe.stage("validation-set")["from"] = json!("strategy-1")), 1);
+    assert_eq!(told(&|recipe, _| recipe.stage("strategy-2")["path"] = json!(recipe.path("strategy-1", "path"))), 1);
+    for kept in [200, 6] {
+        let pasted = |recipe: &mut Variant, folder: &Path| {
+            let [of_fit, own] = ["strategy-1", "strategy-2"].map(|stage| read(&recipe.path(stage, "path")));
+            let from: Vec<&str> = of_fit.lines().skip(10).take(kept).collect();
+            let mut lines: Vec<&str> = own.lines().collect();
+            let first = 20;
+            lines.splice(first..first + kept, from);
+            write(&folder.join("pasted.csv"), &(lines.join("\n") + "\n"));
+            recipe.stage("strategy-2")["path"] = json!(folder.join("pasted.csv"));
+        };
+        assert_eq!(told(&pasted), 1, "{kept}");
+    }
+}

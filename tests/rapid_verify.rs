@@ -582,6 +582,25 @@ fn the_stock_of_a_cut_is_judged_point_by_point() {
     for part in ["top: go", "side: no-go: 45.0 µm too much stock", "back: no-go: the cut is 10.0 µm below"] {
         assert!(told.contains(part), "{told}");
     }
+    // Points that were not touched, touched twice, or under each other's labels.
+    let other = |text: String| {
+        write(&out.path().join("other.csv"), &text);
+        let settings = json!({ "nominal": out.path().join("part.csv"), "tolerance_um": 60 });
+        validate("verify-cut", &settings, &calibrated, &[&ingest(&json!({ "path": out.path().join("other.csv") }))])
+    };
+    let lines: Vec<&str> = touches.lines().collect();
+    let largest = |text: String| other(text).expect("figures").figures[0].clone();
+    let few = largest(lines[..3].join("\n") + "\n");
+    let why = few.inconclusive.as_deref().unwrap_or_default().to_owned();
+    assert!(few.passes() && why.starts_with("back of 3 were not touched"), "{few:?}");
+    assert!(!largest(touches.to_owned()).passes());
+    for (text, words) in [
+        (format!("{touches}top,10,20,233.305,0,0,233.305\n"), "point top is touched a second time"),
+        (touches.replace("top,10,20", "top,10,27"), "point top is touched 7.0 mm beside its nominal point"),
+    ] {
+        let refused = other(text).expect_err(words);
+        assert!(refused.contains(words), "{refused}");
+    }
     let none = json!({ "nominal": folder_file(machine), "tolerance_um": 20 });
     let refused = validate("verify-cut", &none, &calibrated, &[&data]).expect_err("no allowance");
     assert!(refused.contains("there is no allowance"), "{refused}");

@@ -6,7 +6,8 @@ use std::fmt::Write as _;
 use abbe_core::{Figure, Status};
 use serde_json::{Value, json};
 
-use crate::support::{Random, Variant, fit, json_file, recipes, root, temporary, values, write};
+use crate::misread::changed;
+use crate::support::{Random, Variant, fit, json_file, read, recipes, root, temporary, values, write};
 
 /// Scales, squareness of X to Y, and reversals of X and Y: mm and rad.
 struct Machine {
@@ -184,4 +185,30 @@ fn circles_that_were_not_scanned_here_are_refused() {
     assert!(beside.contains("is no deviation from 60 mm") && beside.contains("circle.csv"), "{beside}");
     assert!(refused(json!({ "plane": ["X", "Q"], "centre_mm": [0, 0] }), RADIUS).contains('Q'));
     assert_eq!(refused(plane(json!([0, 0])), RADIUS), "");
+}
+
+/// A scan that went round the other way than its direction says: one of the two alone, too.
+#[test]
+fn a_scan_against_its_direction_is_told() {
+    let recipe = || Variant::of(&recipes()["standards-scanned-ring"]);
+    let file = recipe().path("scan", "path");
+    let rows = read(&file).lines().filter(|line| !line.starts_with('#')).count() - 1;
+    let told = |is_mirrored: &dyn Fn(usize) -> bool| {
+        let (folder, mut recipe) = (temporary(), recipe());
+        let mirrored = |row: usize, cell: &str| match is_mirrored(row) {
+            true => (-cell.parse::<f64>().expect("a coordinate")).to_string(),
+            false => cell.to_owned(),
+        };
+        recipe.stage("scan")["path"] = json!(changed(&file, folder.path(), "Y_mm", mirrored));
+        let remarks: Vec<String> = recipe.run().verdicts.into_iter().flat_map(|verdict| verdict.remarks).collect();
+        remarks.join("\n")
+    };
+    assert!(!told(&|_| false).contains("against `direction`"), "{}", told(&|_| false));
+    let second = told(&|row| 2 * row >= rows);
+    assert!(
+        second.contains("the scan runs against `direction` in") && second.contains("steps of the cw run"),
+        "{second}"
+    );
+    assert!(told(&|row| 2 * row < rows).contains("steps of the ccw run"));
+    assert!(told(&|_| true).contains("the angles run against `direction` in most rows"));
 }

@@ -170,8 +170,12 @@ impl<'a> Compensator<'a> {
                 return Err(Error::data(format!("{beyond}; the path cannot be run")).at_pose(point));
             }
         }
+        let derivatives = if self.settings.method == Method::FirstOrder { &goal } else { &slopes };
         for (point, correction) in points.iter().enumerate() {
             self.check_size(&correction.before).map_err(|error| error.at_pose(point))?;
+            if !self.task.is_moved_by(&self.shifts(derivatives, point)) {
+                return Err(self.moves_nothing().at_pose(point));
+            }
         }
         let mut statuses = programmed.to_vec();
         let start = match self.rotary.is_empty() {
@@ -260,6 +264,26 @@ impl<'a> Compensator<'a> {
         }
     }
 
+    /// How the tip of a point moves with each linear axis, mm/mm.
+    fn shifts(&self, derivatives: &Poses, point: usize) -> Vec<Vector3<f64>> {
+        let start = point * self.wanted.len();
+        let own = &derivatives.position_derivatives[start..start + self.linear.len()];
+        own.iter().map(|shift| Vector3::from(*shift)).collect()
+    }
+
+    /// The error for a point whose sensitive direction no axis moves along.
+    fn moves_nothing(&self) -> Error {
+        let axes = &self.model.info().axes;
+        let names: Vec<&str> = self.linear.iter().map(|&axis| axes[axis].name.as_str()).collect();
+        let direction = self.settings.sensitive_direction.unwrap_or_default().map(|part| part.to_string()).join(", ");
+        let message = format!(
+            "{} {} the tip nowhere along the sensitive direction [{direction}]: nothing would be corrected",
+            names.join(" and "),
+            if names.len() == 1 { "moves" } else { "move" }
+        );
+        Error::usage(message).setting("sensitive_direction").help("it is in the table frame; or correct other axes")
+    }
+
     /// Moves the commands of a point.
     fn step(
         &self,
@@ -281,8 +305,7 @@ impl<'a> Compensator<'a> {
             moved += column(&derivatives.position_derivatives, first + index) * by;
             largest = largest.max(by.abs());
         }
-        let shifts: Vec<Vector3<f64>> =
-            (0..first).map(|index| column(&derivatives.position_derivatives, index)).collect();
+        let shifts = self.shifts(derivatives, point);
         let travel: Vec<Bounds> = self.linear.iter().map(|&axis| self.travel_left(axis, status)).collect();
         let (steps, held) = linear_steps(&self.task, &(-Vector3::from(lacks.tip) - moved), &shifts, &travel);
         let rotary = |axis: &usize| self.rotary.contains(axis);

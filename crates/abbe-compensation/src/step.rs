@@ -27,6 +27,14 @@ impl Task {
             Self::Along(direction) => DMatrix::from_fn(1, vectors.len(), |_, column| direction.dot(&vectors[column])),
         }
     }
+
+    /// Whether steps of axes move the tip where it is to be corrected.
+    pub(crate) fn is_moved_by(&self, derivatives: &[Vector3<f64>]) -> bool {
+        derivatives.iter().any(|derivative| match self {
+            Self::Components(_) => derivative.norm() > PARALLEL,
+            Self::Along(direction) => direction.dot(derivative).abs() > PARALLEL,
+        })
+    }
 }
 
 /// How far an axis may be corrected.
@@ -149,6 +157,9 @@ fn solved(task: &Task, change: &Vector3<f64>, columns: &[Vector3<f64>]) -> Vec<f
     let Some(v_t) = &svd.v_t else { return vec![0.0; columns.len()] };
     let kept: Vec<usize> =
         (0..svd.singular_values.len()).filter(|&index| spanned(&svd.singular_values[index])).collect();
+    if kept.is_empty() {
+        return vec![0.0; columns.len()];
+    }
     let directions = DMatrix::from_fn(columns.len(), kept.len(), |axis, index| v_t[(kept[index], axis)]);
     let weighted = task.rows(columns) * &directions;
     let change = DVector::from_column_slice(task.rows(&[*change]).as_slice());

@@ -376,6 +376,12 @@ pub trait Validate: Send + Sync {
     /// Figures and limits for the given fits; `data` are the data sets of the stages under `from`, if any.
     fn validate(&self, fits: &[&Fit], data: &[&Dataset]) -> Result<Findings>;
 
+    /// Fails where [`validate`](Self::validate) does. It is asked before a long run, of fits that are still to be made. Default: it
+    /// validates; what takes long and refuses nothing may be left out.
+    fn rehearse(&self, fits: &[&Fit], data: &[&Dataset]) -> Result<()> {
+        self.validate(fits, data).map(drop)
+    }
+
     /// Whether the data sets under `from` may be read in batches: then it gets them by [`validate_in_passes`](Self::validate_in_passes).
     /// Default: it needs all rows at once.
     fn accepts_data_in_passes(&self) -> bool {

@@ -57,7 +57,9 @@ impl Prepared {
             let estimator = &self.estimators[&stage.name];
             let mut identifiability = self.located(stage, estimator.identify(problem))?;
             found.insert(stage.name.clone(), identifiability.clone());
-            identifiability.remarks.extend([remarks(problem), self.comparisons(stage, problem, &data)].concat());
+            identifiability
+                .remarks
+                .extend([remarks(problem), self.comparisons(stage, (problem, None), &data)].concat());
             identifiability.remarks.extend(dead_channels(problem));
             identifiability.remarks.extend(self.substitutes(stage, problem, &identifiability));
             planned.push(self.planned(stage, problem, identifiability)?);

@@ -108,7 +108,7 @@ impl Prepared {
             let records = of_problem(&problem, digests);
             let mut told = [remarks(&problem), copies(&problem)].concat();
             let fitted = self.fit_untold(stage, problem).map(|mut fit| {
-                told.extend(comparisons(&fit.problem));
+                told.extend(comparisons(&fit.problem, Some(&fit.problem.values_of(&fit.calibration))));
                 fit.name.clone_from(&group.name);
                 fit.calibration.group = Some(group.group.clone());
                 fit.calibration.data = records;

@@ -9,8 +9,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use abbe_core::{
-    Calibration, Class, Error, Estimate, EstimateSource, Fit, FitReport, Identifiability, Kind, Owner, Parts, Problem,
-    Result, UncertaintyBudget, Unknown,
+    Calibration, Class, Dataset, Error, Estimate, EstimateSource, Fit, FitReport, Identifiability, Kind, Owner, Parts,
+    Problem, Result, UncertaintyBudget, Unknown,
 };
 use abbe_estimation::{MOST_AT_ONCE, calibration};
 use abbe_recipe::Stage;
@@ -132,7 +132,7 @@ impl Prepared {
             let plain = batches.without_rows(&judged)?;
             let said = match is_of_parts {
                 true => self.said_of_parts(stage, &judged, data, batches).map(drop),
-                false => self.said_of(stage, &plain.iter().collect::<Vec<_>>(), data, batches).map(drop),
+                false => self.refused(stage, &plain.iter().collect::<Vec<_>>(), data, batches),
             };
             let is_known = |name: &String| {
                 self.saved.contains_key(name) || self.recipe_stage(name).is_ok_and(|of| self.is_made_at_once(of))
@@ -150,6 +150,15 @@ impl Prepared {
             }
         }
         Ok(())
+    }
+
+    /// Fails where a validator would refuse these fits.
+    fn refused(&self, stage: &Stage, fits: &[&Fit], data: &Datasets, batches: &InBatches<'_>) -> Result<()> {
+        if self.has_passes(stage) || !stage.reference("exports").is_empty() {
+            return self.said_of(stage, fits, data, batches).map(drop);
+        }
+        let data: Vec<&Dataset> = stage.reference("from").iter().map(|name| data[name].as_ref()).collect();
+        self.validators[&stage.name].rehearse(fits, &data)
     }
 
     /// Whether a check makes this estimate.

@@ -3,16 +3,13 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use abbe_core::{DataRow, Dataset, Kind, ObservationSet, Problem};
-use abbe_estimation::{repeated, repeated_in_words, stretches_in_both};
+use abbe_core::{DataRow, Kind, ObservationSet, Problem};
+use abbe_estimation::{pasted_rows, repeated, repeated_in_words};
 
 use crate::prediction::Predicted;
 use crate::prepare::Prepared;
 use crate::record::{FileRecord, files_with_same_content};
 use crate::run::Datasets;
-
-/// Rows in turn that are the same in two files before they are told: chance makes no more of coarse digits.
-const IN_TURN: usize = 4;
 
 impl Prepared {
     /// Files of one content that different stages read, in words.
@@ -61,7 +58,7 @@ impl Prepared {
         {
             let Some(seen) = problems.get(*estimate) else { continue };
             let pairs = judged.sets.iter().flat_map(|set| seen.sets.iter().map(move |other| (set, other)));
-            let found = pairs.filter_map(|(set, other)| pasted_rows(set, other));
+            let found = pairs.filter_map(|(set, other)| pasted(set, other));
             sentences.extend(found.map(|words| {
                 format!("{stage}: `{estimate}` was estimated from rows that it is judged by here: {words}")
             }));
@@ -71,24 +68,10 @@ impl Prepared {
 }
 
 /// The rows of a set that are those of another one in another file, in words.
-fn pasted_rows(set: &ObservationSet, seen: &ObservationSet) -> Option<String> {
+fn pasted(set: &ObservationSet, seen: &ObservationSet) -> Option<String> {
     let [judged, known] = [set, seen].map(|set| set.info().layout.data.as_ref());
-    if judged.files.iter().any(|file| known.files.contains(file)) {
-        return None;
-    }
     let [rows, of_known] = [set, seen].map(|set| -> Vec<DataRow> {
         set.rows.iter().filter_map(|row| set.info().layout.rows[*row].data_row).collect()
     });
-    let stretches = stretches_in_both([known, judged], [&of_known, &rows], IN_TURN);
-    let &(_, [first, other]) = stretches.first()?;
-    let place = |data: &Dataset, row: DataRow| {
-        let origin = &data.origins[row];
-        origin.in_file(&data.files[origin.file])
-    };
-    Some(format!(
-        "{} rows are the same in every column that both have (the first: {} and {})",
-        stretches.iter().map(|(count, _)| count).sum::<usize>(),
-        place(judged, other),
-        place(known, first)
-    ))
+    pasted_rows([judged, known], [&rows, &of_known])
 }

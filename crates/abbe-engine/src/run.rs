@@ -99,8 +99,11 @@ impl Prepared {
         // What needs them has been made all the same.
         failures.extend(implausible);
         let told = |&(name, problem): &(&String, &Problem)| {
+            let fit = fits.iter().find(|fit| fit.name == *name);
+            let estimate = fit.map(|fit| problem.values_of(&fit.calibration));
             let compared =
-                self.recipe_stage(name).map(|stage| self.comparisons(stage, problem, &data)).unwrap_or_default();
+                self.recipe_stage(name).map(|stage| self.comparisons(stage, (problem, estimate.as_deref()), &data));
+            let compared = compared.unwrap_or_default();
             ([remarks(problem), copies(problem)].concat(), compared)
         };
         let is_there = |name: &String| fits.iter().any(|fit| fit.name == *name);

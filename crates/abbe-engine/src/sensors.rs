@@ -12,20 +12,34 @@ use crate::told::untold;
 const PAIRS: usize = 2000;
 
 impl Prepared {
-    /// What comparisons with other readings of the same rows tell of an estimate.
-    pub(crate) fn comparisons(&self, stage: &Stage, problem: &Problem, data: &Datasets) -> Vec<String> {
-        let mut told = abbe_estimation::comparisons(problem);
-        told.extend(self.exchanged_sensors(stage, problem, data).ok().flatten());
+    /// What comparisons with other readings of the same rows tell of an estimate, and of its values of the unknowns if they are known.
+    pub(crate) fn comparisons(
+        &self,
+        stage: &Stage,
+        (problem, estimate): (&Problem, Option<&[f64]>),
+        data: &Datasets,
+    ) -> Vec<String> {
+        let mut told = abbe_estimation::comparisons(problem, estimate);
+        told.extend(self.exchanged_sensors(stage, (problem, estimate), data).ok().flatten());
         told
     }
 
     /// The sentence on two sensors with whose columns exchanged the residuals scatter as stated; none where they do so as they are, and
     /// where no exchange makes them.
-    fn exchanged_sensors(&self, stage: &Stage, problem: &Problem, data: &Datasets) -> Result<Option<String>> {
+    fn exchanged_sensors(
+        &self,
+        stage: &Stage,
+        (problem, estimate): (&Problem, Option<&[f64]>),
+        data: &Datasets,
+    ) -> Result<Option<String>> {
         let stage = self.built_for(stage)?;
         let logs = self.logs(self.machine(stage)?.0, |log| Ok(data[log].clone()))?;
         let pairs = logs.iter().enumerate().flat_map(|(log, own)| pairs(own).into_iter().map(move |pair| (log, pair)));
-        let machines = pairs.take(PAIRS).filter_map(|(log, [one, other])| {
+        let mut pairs = pairs.take(PAIRS).peekable();
+        if pairs.peek().is_none() {
+            return Ok(None);
+        }
+        let machines = pairs.filter_map(|(log, [one, other])| {
             let mut exchanged = logs.clone();
             let columns = &mut exchanged[log].columns;
             let values = columns[one].values.clone();
@@ -34,7 +48,7 @@ impl Prepared {
             let machine = untold(|| self.machine_with(stage, data, &exchanged));
             Some(((log, [one, other]), machine.ok()?))
         });
-        let found = explaining_machine(problem, machines);
+        let found = explaining_machine(problem, estimate, machines);
         Ok(found.map(|((log, pair), [before, after])| {
             let [one, other] = pair.map(|column| logs[log].columns[column].header.name.as_str());
             format!(

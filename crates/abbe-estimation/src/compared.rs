@@ -66,14 +66,25 @@ impl Fitted {
         Self::new(factor.remaining_cost(), &weighted)
     }
 
-    /// The fit from the start where residuals scatter by more than chance makes of what is stated; none where they do not, which a step
-    /// tells mostly.
-    pub fn beyond_chance(problem: &Problem) -> Option<Self> {
+    /// The fit from the start where residuals scatter by more than chance makes of what is stated; none where they do not, which those
+    /// at an `estimate` from these rows and others, or a step, tell mostly.
+    pub fn beyond_chance(problem: &Problem, estimate: Option<&[f64]>) -> Option<Self> {
+        if Self::scatter_at(problem, estimate).is_some_and(|at| !at.is_beyond_chance()) {
+            return None;
+        }
         let weighted = Weighted::new(problem).ok()?;
         let factor = weighted.factor(&problem.start(), None).ok()?;
         let is_doubtful = Self::new(factor.remaining_cost(), &weighted)?.is_beyond_chance();
         let fitted = is_doubtful.then(|| Self::from_start(problem, &weighted, Some(factor))).flatten();
         fitted.filter(Self::is_beyond_chance)
+    }
+
+    /// Residuals at values of the unknowns: no fit of these rows scatters more. None without values.
+    pub fn scatter_at(problem: &Problem, values: Option<&[f64]>) -> Option<Self> {
+        let residuals = problem.residuals(values?).ok()?;
+        let weighted = Weighted::new(problem).ok()?;
+        let squares = weighted.in_uncertainties(residuals).iter().map(|residual| residual * residual).sum();
+        Self::new(squares, &weighted)
     }
 
     fn from_start(problem: &Problem, weighted: &Weighted<'_>, factor: Option<Factor>) -> Option<Self> {
@@ -135,22 +146,23 @@ const ROWS: usize = 500;
 
 /// Of several machines the one with which residuals scatter best, and as stated, and how many times as much as stated they do with the
 /// machine as it is and with that one; none where they scatter as stated as it is, and where they do with none. Machines are not asked
-/// for then, or are made one by one.
+/// for then, or are made one by one. An `estimate`, values of the unknowns, tells sooner that they do.
 ///
 /// ```
 /// # use std::sync::Arc;
 /// # use abbe_core::{KinematicModel, Problem};
 /// fn told(problem: &Problem, exchanged: Arc<dyn KinematicModel>) -> Option<String> {
-///     let (name, [before, after]) = abbe_estimation::explaining_machine(problem, [("exchanged", exchanged)])?;
+///     let (name, [before, after]) = abbe_estimation::explaining_machine(problem, None, [("exchanged", exchanged)])?;
 ///     Some(format!("{name}: {before:.2} times as much as stated, and {after:.2} times"))
 /// }
 /// ```
 pub fn explaining_machine<T>(
     problem: &Problem,
+    estimate: Option<&[f64]>,
     machines: impl IntoIterator<Item = (T, Arc<dyn KinematicModel>)>,
 ) -> Option<(T, [f64; 2])> {
     let few = spread(problem, ROWS);
-    let now = Fitted::beyond_chance(&few)?;
+    let now = Fitted::beyond_chance(&few, estimate)?;
     let mut best: Option<(T, Fitted)> = None;
     for (name, model) in machines {
         problem.monitor.check().ok()?;

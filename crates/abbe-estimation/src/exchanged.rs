@@ -11,9 +11,9 @@ const ROWS: usize = 4000;
 
 /// The sentence on two axes with whose commands exchanged the residuals scatter as stated; none where they do so as they are, and where
 /// no exchange makes them.
-pub(crate) fn exchanged(problem: &Problem) -> Option<String> {
+pub(crate) fn exchanged(problem: &Problem, estimate: Option<&[f64]>) -> Option<String> {
     let few = spread(problem, ROWS);
-    let now = Fitted::beyond_chance(&few)?;
+    let now = Fitted::beyond_chance(&few, estimate)?;
     let pairs = pairs(&problem.model.info().axes).into_iter().filter(|pair| stays_within_travel(&few, pair));
     let tried = pairs.filter_map(|[one, other]| {
         let exchanged = with_commands(&few, |status| status.swap(one.status, other.status));

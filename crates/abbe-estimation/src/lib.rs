@@ -115,7 +115,7 @@ pub use propagation::{AposterioriFactors, Linearisation, Propagation};
 pub use quiet_channels::quiet_channels;
 pub use rank::{confounded, identifiability, ill_conditioned, separated, weakest};
 pub use remarks::{comparisons, missed, remarks};
-pub use repeated_rows::{repeated_in_words, stretches_in_both};
+pub use repeated_rows::{pasted_rows, repeated_in_words};
 pub use residual_rows::{RowResidual, residual_rows};
 pub use residuals::{Constraints, ResidualStatistics, Sizes, outliers, radial_rms};
 pub use row_settings::{Ids, PooledRepeats, RowSettings, RowUncertainty, SharedError};

@@ -77,7 +77,7 @@ fn lone(problem: &Problem) -> Option<Lone> {
     if !ROWS.contains(&problem.sets.iter().map(|set| set.rows.len()).sum()) {
         return None;
     }
-    let before = Fitted::beyond_chance(problem)?;
+    let before = Fitted::beyond_chance(problem, None)?;
     let mut rows = largest(problem, &problem.start());
     rows.extend(after_a_step(problem).map(|values| largest(problem, &values)).unwrap_or_default());
     rows.sort_unstable();

@@ -31,10 +31,10 @@ struct Run {
 ///
 /// Which of them are negative, all others say: these readings take no part in the fit that tells. So the signs are chosen before the
 /// readings are looked at, and what chance makes of them is that of one correction.
-pub(crate) fn lost_signs(problem: &Problem) -> Option<Explained> {
+pub(crate) fn lost_signs(problem: &Problem, estimate: Option<&[f64]>) -> Option<Explained> {
     let few = spread(problem, ROWS);
-    let now = Fitted::after_a_step(&few)?;
-    if now.squares < now.free + DOUBTFUL * (2.0 * now.free).sqrt() {
+    let is_as_stated = |now: Fitted| now.squares < now.free + DOUBTFUL * (2.0 * now.free).sqrt();
+    if Fitted::scatter_at(&few, estimate).is_some_and(is_as_stated) || is_as_stated(Fitted::after_a_step(&few)?) {
         return None;
     }
     let runs = runs(&few);

@@ -50,12 +50,14 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
 }
 
 /// Sentences on readings whose signs, and on columns whose places, the rest of the rows contradicts: other fits of the same rows tell.
-/// They come after the fit itself, so that a machine that fails at other values fails there.
-pub fn comparisons(problem: &Problem) -> Vec<String> {
+/// They come after the fit itself, so that a machine that fails at other values fails there. With its values of the unknowns, the
+/// `estimate`, those that residuals give no reason for are not made.
+pub fn comparisons(problem: &Problem, estimate: Option<&[f64]>) -> Vec<String> {
     // A turned sign explains much of an exchange, and an exchange of a turned sign: the better one is told.
-    let readings = [turned_readings(problem), exchanged_channels(problem), lost_signs(problem)].into_iter().flatten();
+    let readings =
+        [turned_readings(problem), exchanged_channels(problem), lost_signs(problem, estimate)].into_iter().flatten();
     let best = readings.min_by(|one, other| one.squares.total_cmp(&other.squares));
-    best.map(|best| best.words).into_iter().chain(exchanged(problem)).collect()
+    best.map(|best| best.words).into_iter().chain(exchanged(problem, estimate)).collect()
 }
 
 /// Styli in the data that the model does not tell apart.

@@ -42,13 +42,43 @@ pub fn copied_stretches(
     stretches.map(|run| (run.len(), [run[0].0, run[0].1])).collect()
 }
 
+/// Rows in turn that are the same in two files before they are told: chance makes no more of coarse digits.
+const PASTED: usize = 4;
+
+/// Rows by which an estimate is judged, and which are among those of a fit in another file, in words.
+///
+/// ```
+/// # use abbe_core::Dataset;
+/// fn told(judged: &Dataset, of_fit: &Dataset) -> Option<String> {
+///     let [rows, known]: [Vec<_>; 2] = [judged, of_fit].map(|data| data.row_indices().collect());
+///     abbe_estimation::pasted_rows([judged, of_fit], [&rows, &known])
+/// }
+/// ```
+pub fn pasted_rows([judged, known]: [&Dataset; 2], [rows, of_known]: [&[DataRow]; 2]) -> Option<String> {
+    if judged.files.iter().any(|file| known.files.contains(file)) {
+        return None;
+    }
+    let stretches = stretches_in_both([known, judged], [of_known, rows], PASTED);
+    let &(_, [first, other]) = stretches.first()?;
+    let place = |data: &Dataset, row: DataRow| {
+        let origin = &data.origins[row];
+        origin.in_file(&data.files[origin.file])
+    };
+    Some(format!(
+        "{} rows are the same in every column that both have (the first: {} and {})",
+        stretches.iter().map(|(count, _)| count).sum::<usize>(),
+        place(judged, other),
+        place(known, first)
+    ))
+}
+
 /// Rows of the same content at which a stretch is tried to begin, at most.
 const TRIED: usize = 16;
 
 /// Stretches of rows of two data sets, at least so many in turn in both, that are the same in all columns that both have, but for times
 /// and labels that count the rows or name the file: how many each has, and the first row of it in either. None where fewer than two
 /// columns of numbers are compared.
-pub fn stretches_in_both(
+fn stretches_in_both(
     [one, other]: [&Dataset; 2],
     [rows, other_rows]: [&[DataRow]; 2],
     in_turn: usize,

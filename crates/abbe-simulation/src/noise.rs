@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 use abbe_core::{
-    Contact, Error, ObservationSet, Problem, Quantity, Result, Row, SetIndex, SettingsError, from_settings,
+    Contact, Error, ObservationSet, Problem, Quantity, Result, Row, SetIndex, SettingsError, Whole, from_settings,
     not_negative, positive,
 };
 use abbe_estimation::Variation;
@@ -130,7 +130,7 @@ struct WrittenDrift {
 #[derive(Deserialize)]
 struct WrittenLobing {
     amplitude_mm: f64,
-    lobes: Option<u32>,
+    lobes: Option<Whole<0, 999>>,
     phase_rad: Option<f64>,
 }
 
@@ -361,7 +361,7 @@ impl StandardDeviation {
 
 impl Drift {
     fn check(&self) -> Result<(), SettingsError> {
-        bounded("size_mm", self.size_mm)?;
+        bounded("gain_mm", self.size_mm)?;
         positive("tau_s", self.tau_s)?;
         if let Some((period, phase)) = self.wave {
             positive("wave_period_s", period)?;
@@ -413,7 +413,7 @@ impl Outliers {
 fn read_lobing(lobing: &Map<String, Value>) -> Result<Lobing, SettingsError> {
     let lobing: WrittenLobing = from_settings(&known_only("noise.lobing", lobing, &LOBING_KEYS, &[]))?;
     // A probe with three contacts has three lobes.
-    let (lobes, phase) = (lobing.lobes.unwrap_or(3), lobing.phase_rad.unwrap_or(0.0));
+    let (lobes, phase) = (lobing.lobes.map_or(3, |lobes| lobes.get() as u32), lobing.phase_rad.unwrap_or(0.0));
     Ok(Lobing { amplitude: lobing.amplitude_mm, lobes, phase })
 }
 

@@ -65,7 +65,10 @@ impl Stand {
             let beyond = |[from, to]: [f64; 2]| ((from + to) / 2.0 + OF_TRAVEL * (to - from)).round();
             status[axis.status] = axis.range.map_or(ANYWHERE, beyond);
         }
-        for (name, position) in at {
+        for (place, (name, position)) in at.iter().enumerate() {
+            if at[..place].iter().any(|(earlier, _)| earlier == name) {
+                return Err(Error::usage(format!("the axis {name} is to stand at two positions")));
+            }
             let axis = info.axes.iter().find(|axis| axis.name == *name).ok_or_else(|| {
                 Error::usage(format!("the machine has no axis {name}"))
                     .suggest(name, info.axes.iter().map(|axis| axis.name.as_str()))

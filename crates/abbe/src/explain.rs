@@ -101,6 +101,14 @@ impl Explain {
 ///
 /// Fails for a symbol that the chain does not have, with those that are near.
 fn found(machine: Described, symbol: &str, libraries: &Libraries) -> Result<Found> {
+    let is_whole = !symbol.contains(['[', ']'])
+        || symbol.split_once('[').is_some_and(|(base, rest)| !base.is_empty() && rest.len() > 1 && rest.ends_with(']'));
+    if !is_whole {
+        let message = format!(
+            "`{symbol}` is no symbol: what stands in brackets was expected to be there and to end, as in `EXX[1]`"
+        );
+        return Err(Error::usage(message));
+    }
     let (base, bracket) =
         symbol.split_once('[').map_or((symbol, ""), |(base, rest)| (base, rest.trim_end_matches(']')));
     let of = |machine: &Described| -> Vec<usize> {

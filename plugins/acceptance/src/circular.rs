@@ -15,8 +15,8 @@ use serde_json::{Value, json};
 use crate::both_directions::{place_of_angle, smaller_direction};
 use crate::circle_positions::contradicted;
 use crate::common::{
-    Acceptance, Judge, Key, Limits, Sheet, against, check_limits, directions, doubted, faults, finite, names, run_name,
-    too_quiet, undecided,
+    Acceptance, Judge, Key, Limits, MOST_STEPS, Sheet, against, check_limits, directions, doubted, faults, finite,
+    names, run_name, too_quiet, undecided,
 };
 
 abbe_core::register!(
@@ -195,12 +195,24 @@ impl Circular {
         Ok((!samples.is_empty()).then(|| Trace::new(&samples)))
     }
 
-    /// A remark on directions that the order of angles contradicts.
-    fn turned(data: &Dataset, angles: &[f64], run: &str) -> Result<Option<String>> {
-        let (count, all) = against(angles, &directions(data)?);
-        Ok((2 * count > all).then(|| {
-            format!(
+    /// A remark on directions that the order of angles contradicts. Readings of an instrument may be sorted by the angle, those of one
+    /// direction against it: then half of all steps are.
+    fn turned(&self, data: &Dataset, angles: &[f64], run: &str) -> Result<Option<String>> {
+        let ways = against(angles, &directions(data)?);
+        let [positive, negative] = ways;
+        if 2 * (positive.0 + negative.0) > positive.1 + negative.1 {
+            return Ok(Some(format!(
                 "{run}: the angles run against `direction` in most rows: are cw and ccw exchanged, or is the sign of the angle wrong?"
+            )));
+        }
+        let is_against = |&(count, all): &(usize, usize)| count as f64 > MOST_STEPS * all as f64;
+        let way = ways.iter().position(is_against).filter(|_| self.scanned.is_some());
+        Ok(way.map(|way| {
+            let (count, all) = ways[way];
+            format!(
+                "{run}: the scan runs against `direction` in {count} of {all} steps of the {} run: is that its direction, and is it the right \
+                 scan?",
+                name_of(way == 0)
             )
         }))
     }
@@ -226,7 +238,7 @@ impl Circular {
         let run = run_name(data);
         let samples = self.samples(data)?;
         let [angles, readings] = &samples;
-        findings.remarks.extend(Self::turned(data, angles, &run)?);
+        findings.remarks.extend(self.turned(data, angles, &run)?);
         findings.remarks.extend(doubted(&run, &[readings]));
         let mut faults = faults(&[(self.reading(), readings)], 1e-3 * self.standard_uncertainty_um, (1e3, "um"));
         let um: Vec<f64> = readings.iter().map(|value| 1e3 * value).collect();

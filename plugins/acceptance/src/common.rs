@@ -138,13 +138,19 @@ pub fn directions(data: &Dataset) -> Result<Vec<bool>> {
     labels.iter().enumerate().map(of).collect()
 }
 
-/// How many steps of an angle, rad, from row to row of one direction go against it, and how many there are.
-pub fn against(angles: &[f64], ways: &[bool]) -> (usize, usize) {
-    let steps = angles.windows(2).zip(ways.windows(2)).filter(|(_, ways)| ways[0] == ways[1]);
+/// How many steps of an angle, rad, from row to row of one direction go against it, and how many there are: in the positive direction,
+/// and in the negative one.
+pub fn against(angles: &[f64], ways: &[bool]) -> [(usize, usize); 2] {
     let turn = |pair: &[f64]| (pair[1] - pair[0] + PI).rem_euclid(TAU) - PI;
-    let is_against = |(pair, ways): &(&[f64], &[bool])| turn(pair) != 0.0 && (turn(pair) > 0.0) != ways[0];
-    (steps.clone().filter(is_against).count(), steps.count())
+    [true, false].map(|way| {
+        let steps = angles.windows(2).zip(ways.windows(2)).filter(|(_, ways)| **ways == [way, way]);
+        let is_against = |(pair, _): &(&[f64], &[bool])| turn(pair) != 0.0 && (turn(pair) > 0.0) != way;
+        (steps.clone().filter(is_against).count(), steps.count())
+    })
 }
+
+/// Part of the steps of a direction that go against it where its sign is wrong.
+pub const MOST_STEPS: f64 = 0.9;
 
 /// The error for a validator without data sets, or with an empty one.
 pub fn no_data() -> Error {

@@ -12,8 +12,8 @@ use serde_json::{Value, json};
 use crate::both_directions::{place_of_angle, smaller_direction};
 use crate::channel_units::other_unit;
 use crate::common::{
-    Acceptance, Judge, Key, Limits, Sheet, against, check_limits, directions, doubted, faults, finite, names, run_name,
-    too_quiet, undecided,
+    Acceptance, Judge, Key, Limits, MOST_STEPS, Sheet, against, check_limits, directions, doubted, faults, finite,
+    names, run_name, too_quiet, undecided,
 };
 use crate::rotary_readings::mirrored;
 
@@ -124,9 +124,8 @@ type OfAxis = ([f64; 3], [f64; 3]);
 /// Part of the distance of the ball from the axis by which linear axes are off its way at most.
 const ON_ITS_WAY: f64 = 1e-3;
 
-/// Fewest steps against their direction, and part of all, that are no order of rows by chance.
+/// Fewest steps against their direction that are no order of rows by chance.
 const FEWEST_STEPS: usize = 6;
-const MOST_STEPS: f64 = 0.9;
 
 /// How far the way of the linear axes is at most from that of the ball, radial directions from the first row, and in which row.
 fn off(path: &Path, radius: f64, angles: &[f64], [x, y, z]: [&[f64]; 3]) -> (f64, usize) {
@@ -218,7 +217,8 @@ impl Rotary {
         if others.any(moves) {
             return None;
         }
-        let (count, all) = against(angles, ways);
+        let [positive, negative] = against(angles, ways);
+        let (count, all) = (positive.0 + negative.0, positive.1 + negative.1);
         (count >= FEWEST_STEPS && count as f64 > MOST_STEPS * all as f64).then(|| {
             format!(
                 "`{}` runs against `direction` in {count} of {all} steps: is the sign of `direction` or of `{0}` wrong?",

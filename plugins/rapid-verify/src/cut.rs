@@ -77,8 +77,10 @@ impl Validate for VerifyCut {
         self.leaves_stock(&points, &allowances)?;
         let mut findings = Findings::default();
         let (mut worst, mut out, mut count) = (0.0_f64, 0, 0);
+        let mut touched = vec![false; points.list.len()];
         for data in data {
             for (point, stock) in stocks(fit, &points, data)? {
+                touched[point] = true;
                 let (label, allowance) = (&points.list[point].label, allowances[point]);
                 // A picometre is rounded away: binary fractions do not hold decimal ones.
                 let off = ((stock - allowance) * 1e9).round() / 1e6;
@@ -101,8 +103,12 @@ impl Validate for VerifyCut {
         if count == 0 {
             return Err(Error::data("no row touches a point of the part"));
         }
+        let mut largest = Figure::new(&fit.name, "largest deviation", worst, "um").limited(self.settings.tolerance_um);
+        if largest.passes() {
+            largest.inconclusive = untouched(&points, &touched);
+        }
         let figures = [
-            Figure::new(&fit.name, "largest deviation", worst, "um").limited(self.settings.tolerance_um),
+            largest,
             Figure::new(&fit.name, "points", f64::from(count), "1"),
             Figure::new(&fit.name, "points out", f64::from(out), "1"),
         ];
@@ -140,6 +146,21 @@ impl VerifyCut {
     }
 }
 
+/// The reason why points that were not touched leave the cut undecided; none if all were.
+fn untouched(points: &Points, touched: &[bool]) -> Option<String> {
+    let left = points.list.iter().zip(touched).filter(|(_, touched)| !**touched);
+    let labels: Vec<&str> = left.map(|(point, _)| point.label.as_str()).collect();
+    let (first, count) = (labels.first()?, labels.len());
+    let more = if count > 1 { format!(" and {} more points", count - 1) } else { String::new() };
+    Some(format!(
+        "{first}{more} of {} were not touched: leave out of the nominal file what is not to be judged",
+        touched.len()
+    ))
+}
+
+/// How far beside its nominal point a point may be touched, mm: there is another place of the surface.
+const BESIDE: f64 = 1.0;
+
 /// The stock at every touched point (its index), mm: the distance of the surface from the finished one.
 fn stocks(fit: &Fit, points: &Points, data: &Dataset) -> Result<Vec<(usize, f64)>> {
     let problem = fit.problem.starting_from(&fit.calibration);
@@ -160,6 +181,16 @@ fn stocks(fit: &Fit, points: &Points, data: &Dataset) -> Result<Vec<(usize, f64)
         if let Some(measured) = measured {
             touched.push((row, points.list[index].axis.as_str(), measured[row]));
             touch.status[model.info().axes[touch.axis].status] = measured[row];
+        }
+        if found.iter().any(|(earlier, _)| *earlier == index) {
+            return Err(data.error_at(row, format!("point {label} is touched a second time")));
+        }
+        let beside = touch.beside_here(&problem.machine_values)?;
+        if beside > BESIDE || beside.is_nan() {
+            let message = format!("point {label} is touched {beside:.1} mm beside its nominal point");
+            return Err(data
+                .error_at(row, message)
+                .help("are the labels right, and is this the part of the nominal file?"));
         }
         found.push((index, touch.distance_here(&problem.machine_values)? - model.info().stylus_radius));
     }

@@ -317,6 +317,13 @@ impl<'a> Touch<'a> {
         Ok(self.distance(values, &self.status, &[])?.0)
     }
 
+    /// How far the tip is beside the line along the normal of the point, mm.
+    pub fn beside_here(&self, values: &[f64]) -> Result<f64> {
+        let mut poses = Poses::default();
+        self.model.poses(&self.status, values, &[], false, &mut poses)?;
+        Ok((Vector3::from(poses.positions[0]) - self.point.position).cross(&self.point.normal).norm())
+    }
+
     /// The position of the approach axis at which the distance of the tip from the nominal facet is `goal`: the full
     /// nonlinear touch.
     pub fn reading(&self, values: &[f64], goal: f64) -> Result<f64> {

@@ -75,7 +75,7 @@ impl<'a> Stack<'a> {
             accumulator.push(&line, 0.0, 1.0);
         }
         let (_, derivatives) = self.known_rows(&vec![0.0; count]);
-        derivatives.chunks_exact(count).for_each(|line| accumulator.push(line, 0.0, 1.0));
+        derivatives.chunks_exact(count.max(1)).for_each(|line| accumulator.push(line, 0.0, 1.0));
         accumulator.finish()
     }
 }

@@ -103,11 +103,17 @@ impl ArtefactCmm {
         findings
             .remarks
             .extend(contradiction(&fit.name, &left, &nominal).or_else(|| disagreement(&fit.name, &left, &stated)));
-        findings.figures.extend(differences(&fit.name, &left));
-        findings.figures.extend([
-            Figure::new(&fit.name, "range", left.max() - left.min(), UM),
-            Figure::new(&fit.name, "features", matched.features as f64, ONE),
-        ]);
+        let mut figures = differences(&fit.name, &left).to_vec();
+        figures.push(Figure::new(&fit.name, "range", left.max() - left.min(), UM));
+        if matched.shifts.len() <= rank {
+            let why = format!(
+                "{} places that {rank} motions between the frames of machine and CMM bring together agree whatever was measured",
+                matched.shifts.len()
+            );
+            figures.iter_mut().for_each(|figure| figure.inconclusive = Some(why.clone()));
+        }
+        findings.figures.extend(figures);
+        findings.figures.push(Figure::new(&fit.name, "features", matched.features as f64, ONE));
         Ok(())
     }
 }
@@ -191,6 +197,13 @@ mod tests {
             ]
         );
         assert_eq!(found.figures.iter().filter(|figure| !figure.passes()).count(), 1);
+        // Three features that three motions bring together agree whatever was measured.
+        let few: Vec<&str> = cmm.lines().take(4).collect();
+        std::fs::write(folder.path().join("few.csv"), few.join("\n")).unwrap();
+        let few = json!({ "features": "table", "cmm": "few.csv", "limits": { "range_um": 3 } });
+        let found = judge("artefact-cmm", folder.path(), &few, &fit).unwrap();
+        let range = found.figures.iter().find(|figure| figure.name == "range").unwrap();
+        assert!(range.value.unwrap() < 1e-6 && range.inconclusive.is_some(), "{range:?}");
         let signed = json!({ "features": "table", "cmm": "cmm.csv", "limits": { "max_um": 3 } });
         assert_eq!(
             judge("artefact-cmm", folder.path(), &signed, &fit).unwrap_err(),

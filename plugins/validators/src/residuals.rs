@@ -67,7 +67,14 @@ impl Validate for Residuals {
     }
 
     fn validate(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<Findings> {
-        judged_side_by_side(fits, &self.settings.limits, |fit, findings| self.judge(fit, findings))
+        judged_side_by_side(fits, &self.settings.limits, |fit, findings| {
+            follow_time(fit, &self.sum_up(fit, findings)?, findings)
+        })
+    }
+
+    /// Whether residuals follow time refuses nothing.
+    fn rehearse(&self, fits: &[&Fit], _: &[&Dataset]) -> Result<()> {
+        judged_side_by_side(fits, &self.settings.limits, |fit, findings| self.sum_up(fit, findings).map(drop)).map(drop)
     }
 
     fn accepts_rows_in_parts(&self) -> bool {
@@ -77,7 +84,7 @@ impl Validate for Residuals {
     fn validate_parts(&self, fits: &[(&Fit, Option<&dyn Parts>)], _: &[&Dataset]) -> Result<Findings> {
         judged(fits, &self.settings.limits, |&(fit, parts), findings| match parts {
             Some(parts) => self.judge_parts(fit, parts, findings),
-            None => self.judge(fit, findings),
+            None => follow_time(fit, &self.sum_up(fit, findings)?, findings),
         })
     }
 }
@@ -101,13 +108,14 @@ impl Seen {
 }
 
 impl Residuals {
-    fn judge(&self, fit: &Fit, findings: &mut Findings) -> Result<()> {
+    /// Adds the figures of the rows of a fit; returns the outliers, which are left out.
+    fn sum_up(&self, fit: &Fit, findings: &mut Findings) -> Result<BTreeSet<(SetIndex, RowIndex)>> {
         let (problem, unpredictable) = predictable(fit)?;
         findings.remarks.extend(unpredictable);
         let left_out = outliers(&problem, &fit.calibration);
         let columns = self.columns(&problem)?;
         tell(fit, &columns, &seen(&problem, fit, &left_out, &columns)?, findings);
-        follow_time(fit, &left_out, findings)
+        Ok(left_out)
     }
 
     /// The same of rows that are read again and again. Whether they follow time is asked of rows that are chosen at random.

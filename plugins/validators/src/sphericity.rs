@@ -5,8 +5,10 @@
 //! for the nominal model all errors of the machine, for a calibrated model those that it does not describe.
 
 use abbe_core::{
-    Context, Dataset, Error, Figure, Findings, Fit, KinematicModel, PathItem, Result, SettingsError, Validate, positive,
+    Context, DataRow, Dataset, Error, Figure, Findings, Fit, KinematicModel, PathItem, Result, SettingsError, Validate,
+    positive,
 };
+use abbe_estimation::pasted_rows;
 use abbe_geometry::{Fitted, Sphere};
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -94,6 +96,7 @@ impl Validate for Sphericity {
         let mut nominal: Vec<Vec<Figure>> = Vec::new();
         for fit in fits {
             let (touches, skipped) = self.touches(fit, data)?;
+            findings.remarks.extend(data.iter().find_map(|data| of_the_fit(fit, data)));
             let model = fit.problem.model.as_ref();
             let zero = &model.info().nominal;
             let mut of_nominal = Form::all(&touches, model, zero)?.figures(NOMINAL, model.info().stylus_radius);
@@ -122,6 +125,23 @@ impl Validate for Sphericity {
         self.check_limits(&findings)?;
         Ok(findings)
     }
+}
+
+/// A sentence on rows that went into the fit, which they cannot judge as others do.
+fn of_the_fit(fit: &Fit, data: &Dataset) -> Option<String> {
+    let rows: Vec<DataRow> = data.row_indices().collect();
+    let words = fit.problem.sets.iter().find_map(|set| {
+        let layout = &set.info().layout;
+        if let Some(file) = data.files.iter().find(|file| layout.data.files.contains(file)) {
+            return Some(format!("those of `{}`", file.display()));
+        }
+        let known: Vec<DataRow> = set.rows.iter().filter_map(|row| layout.rows[*row].data_row).collect();
+        pasted_rows([data, &layout.data], [&rows, &known])
+    })?;
+    Some(format!(
+        "`{}` was estimated from rows that it is judged by here, of which nothing is predicted: {words}",
+        fit.name
+    ))
 }
 
 impl Sphericity {

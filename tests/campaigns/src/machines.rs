@@ -273,7 +273,7 @@ const FALSE: [&str; 6] = [
 fn false_alarms(fit: &Fit) -> Vec<String> {
     let all = remarks(&fit.problem).into_iter();
     let told = all.filter(|remark| FALSE.iter().any(|words| remark.contains(words)));
-    let compared = comparisons(&fit.problem);
+    let compared = comparisons(&fit.problem, Some(&fit.problem.values_of(&fit.calibration)));
     let residuals = fit.problem.residuals(&fit.problem.values_of(&fit.calibration)).unwrap_or_default();
     let gathered = gathered_outliers(&fit.problem, &fit.calibration, &residuals);
     let spoiled = doubtful_row(&fit.problem).filter(|_| fit.calibration.outliers.is_empty());
