@@ -167,6 +167,7 @@ impl WithSimd for Whole<'_> {
 struct ToFirstOrder<'a> {
     chain: &'a Chain,
     given: Given<'a>,
+    rotations: bool,
     out: &'a mut Evaluations,
 }
 
@@ -175,8 +176,8 @@ impl WithSimd for ToFirstOrder<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { chain, given, out } = self;
-        out.walk_nominally(simd, chain, given);
+        let Self { chain, given, rotations, out } = self;
+        out.walk_nominally(simd, chain, given, rotations);
     }
 }
 
@@ -248,11 +249,17 @@ impl Evaluations {
     }
 
     /// The poses of a chain to first order in the errors, with all derivatives of these if some are wanted
-    /// ([`Chain::evaluate_first_order`]).
-    pub fn evaluate_first_order(&mut self, chain: &Chain, given: Given<'_>, derivatives: Derivatives<'_>) {
+    /// ([`Chain::evaluate_first_order`]). Without derivatives rotations are those without errors unless they are wanted.
+    pub fn evaluate_first_order(
+        &mut self,
+        chain: &Chain,
+        given: Given<'_>,
+        derivatives: Derivatives<'_>,
+        rotations: bool,
+    ) {
         if derivatives == Derivatives::None {
             self.make_room(chain, derivatives);
-            let (poses, whole) = (self.poses, ToFirstOrder { chain, given, out: self });
+            let (poses, whole) = (self.poses, ToFirstOrder { chain, given, rotations, out: self });
             return match poses {
                 1 => whole.with_simd(Scalar),
                 _ => Arch::new().dispatch(whole),
@@ -296,12 +303,15 @@ impl Evaluations {
 
     /// Walks both branches as if there were no errors, and adds what these do, to first order.
     #[inline(always)]
-    fn walk_nominally<S: Simd>(&mut self, simd: S, chain: &Chain, given: Given<'_>) {
+    fn walk_nominally<S: Simd>(&mut self, simd: S, chain: &Chain, given: Given<'_>, rotations: bool) {
         let [workpiece, tool] = self.ends(chain, given, || Frame::nominal_bed(simd));
         let (Some(of_workpiece), Some(of_tool)) = (workpiece.sum, tool.sum) else { return };
         let (table, tip) = (workpiece.directions, tool.origin);
         let shift = of_tool.shift_at(tip) - of_workpiece.shift_at(tip);
         self.write_pose(table.inwards(tip - workpiece.origin + shift), table.all_inwards(tool.directions.0));
+        if !rotations {
+            return;
+        }
         let mut turns = [0.0; 3 * MOST];
         let turns = &mut turns[..3 * self.poses];
         table.inwards(of_tool.turn - of_workpiece.turn).write(S::as_mut_simd_f64s(turns).0, 0);

@@ -1,6 +1,6 @@
 //! The poses of a batch, evaluated side by side.
 
-use abbe_core::{PoseBatch, Result};
+use abbe_core::{Error, PoseBatch, Result};
 use abbe_kinematics::{Derivatives, EvaluatedPose, Evaluations, Given};
 
 use crate::derivatives::{At, Wanted};
@@ -10,7 +10,8 @@ use crate::model::{Room, SerialChain};
 struct Work {
     /// Functions x poses.
     functions: Vec<f64>,
-    /// Those of one pose.
+    /// Arguments of the functions of a basis x poses.
+    arguments: Vec<f64>,
     of_pose: Vec<f64>,
     /// Errors x poses.
     errors: Vec<f64>,
@@ -61,7 +62,8 @@ impl SerialChain {
         let width = poses.poses();
         Work {
             functions: vec![0.0; self.functions * width],
-            of_pose: vec![0.0; self.functions],
+            arguments: Vec::new(),
+            of_pose: Vec::new(),
             errors: vec![0.0; 6 * self.chain.slots() * width],
             commands: vec![0.0; self.info.axes.len() * width],
             tips: vec![0.0; 3 * width],
@@ -121,21 +123,19 @@ impl SerialChain {
             .chunk_by(|one, other| one.error == other.error)
             .partition(|of_error| of_error.iter().any(|term| varies(term.basis)));
         if let Some(status) = statuses.chunks_exact(columns).next() {
-            for place in 0..width {
-                self.functions_of(&same, &mut work, place, At { status, values }).map_err(|error| error.at_pose(0))?;
-            }
+            self.functions_of(&same, &mut work, &status.repeat(width), values)
+                .map_err(|(_, error)| error.at_pose(0))?;
             give_errors(&mut work, &of_all);
         }
         for (group, statuses) in statuses.chunks(columns * width).enumerate() {
-            for (place, status) in statuses.chunks_exact(columns).enumerate() {
-                self.give(&mut work, place, At { status, values }, &used)
-                    .map_err(|error| error.at_pose(group * width + place))?;
-            }
+            let of_group = |(place, error): (usize, Error)| error.at_pose(group * width + place);
+            self.give(&mut work, statuses).map_err(of_group)?;
+            self.functions_of(&used, &mut work, statuses, values).map_err(of_group)?;
             give_errors(&mut work, &terms);
             let Work { errors, commands, tips, poses, .. } = &mut work;
             let given = Given { commands, errors, tips };
             match self.first_order {
-                true => poses.evaluate_first_order(&self.chain, given, derivatives),
+                true => poses.evaluate_first_order(&self.chain, given, derivatives, orientation),
                 false => poses.evaluate(&self.chain, given, derivatives),
             }
             for (place, status) in statuses.chunks_exact(columns).enumerate() {
@@ -147,27 +147,50 @@ impl SerialChain {
         Ok(())
     }
 
-    /// Writes the values of the functions of some bases to the place of a pose.
-    fn functions_of(&self, bases: &[usize], work: &mut Work, place: usize, at: At<'_>) -> Result<()> {
-        let Work { functions, of_pose, room, poses, .. } = work;
-        let width = poses.poses();
+    /// Writes the values of the functions of some bases at all poses that are evaluated together, one after another in `statuses`. Fails
+    /// with the first of these at which one is not known, and its place.
+    fn functions_of(
+        &self,
+        bases: &[usize],
+        work: &mut Work,
+        statuses: &[f64],
+        values: &[f64],
+    ) -> std::result::Result<(), (usize, Error)> {
+        let Work { functions, arguments, of_pose, room, poses, .. } = work;
+        let (width, columns) = (poses.poses(), self.info.status.len());
+        let mut unknown: Option<(usize, Error)> = None;
         for basis in bases.iter().map(|&basis| &self.bases[basis]) {
-            self.functions_at(basis, at, room, of_pose)?;
-            let own = &of_pose[basis.first..basis.first + basis.count];
-            own.iter().zip(basis.first..).for_each(|(value, function)| functions[function * width + place] = *value);
+            // Places without a pose have arguments of zero.
+            arguments.clear();
+            arguments.resize(basis.arguments.len() * width, 0.0);
+            for (place, status) in statuses.chunks_exact(columns).enumerate() {
+                let at = At { status, values };
+                match self.arguments_known(basis, at, room) {
+                    Ok(own) => {
+                        own.iter().enumerate().for_each(|(argument, own)| arguments[argument * width + place] = *own);
+                    }
+                    Err(error) if unknown.as_ref().is_none_or(|(first, _)| place < *first) => {
+                        unknown = Some((place, error));
+                    }
+                    Err(_) => (),
+                }
+            }
+            let own = &mut functions[basis.first * width..(basis.first + basis.count) * width];
+            basis.functions.values_side_by_side(width, arguments, of_pose, own);
         }
-        Ok(())
+        unknown.map_or(Ok(()), Err)
     }
 
-    /// Writes what a pose is evaluated at, but for its errors, to its place among those that are evaluated with it.
-    fn give(&self, work: &mut Work, place: usize, at: At<'_>, used: &[usize]) -> Result<()> {
-        self.functions_of(used, work, place, at)?;
+    /// Writes commands and tips of poses to their places among those that are evaluated together. Fails with the first pose that has no tip.
+    fn give(&self, work: &mut Work, statuses: &[f64]) -> std::result::Result<(), (usize, Error)> {
         let width = work.poses.poses();
-        for (axis, command) in at.status[..self.info.axes.len()].iter().enumerate() {
-            work.commands[axis * width + place] = *command;
-        }
-        for (coordinate, tip) in self.tip(at.status)?.iter().enumerate() {
-            work.tips[coordinate * width + place] = *tip;
+        for (place, status) in statuses.chunks_exact(self.info.status.len()).enumerate() {
+            for (axis, command) in status[..self.info.axes.len()].iter().enumerate() {
+                work.commands[axis * width + place] = *command;
+            }
+            for (coordinate, tip) in self.tip(status).map_err(|error| (place, error))?.iter().enumerate() {
+                work.tips[coordinate * width + place] = *tip;
+            }
         }
         Ok(())
     }

@@ -197,23 +197,18 @@ impl SerialChain {
         (0..used.len()).filter(|basis| used[*basis]).collect()
     }
 
-    /// The functions of a basis at a status.
-    pub(crate) fn functions_at(
+    /// The arguments of a basis at a status. Fails where its functions are not known.
+    pub(crate) fn arguments_known<'a>(
         &self,
         basis: &FunctionBasis,
-        At { status, values }: At<'_>,
-        room: &mut Room,
-        out: &mut [f64],
-    ) -> Result<()> {
+        At { status, values }: At<'a>,
+        room: &'a mut Room,
+    ) -> Result<&'a [f64]> {
         if let Some(range) = &basis.range {
             range.check(status, &self.info.axes)?;
         }
         let arguments = basis.arguments_at(status, values, room);
-        if let Some(why) = basis.functions.refused(arguments) {
-            return Err(Error::data(why));
-        }
-        basis.functions.values(arguments, &mut out[basis.first..basis.first + basis.count]);
-        Ok(())
+        basis.functions.refused(arguments).map_or(Ok(arguments), |why| Err(Error::data(why)))
     }
 
     pub(crate) fn tip(&self, status: &[f64]) -> Result<&Vector3<f64>> {
@@ -346,7 +341,9 @@ impl KinematicModel for SerialChain {
             if coefficients.is_empty() {
                 continue;
             }
-            self.functions_at(basis, At { status, values }, &mut Room::default(), &mut functions)?;
+            let mut room = Room::default();
+            let arguments = self.arguments_known(basis, At { status, values }, &mut room)?;
+            basis.functions.values(arguments, &mut functions[basis.first..basis.first + basis.count]);
             for (parameter, place) in &coefficients {
                 error.value += values[*parameter] * functions[place.function];
                 error.derivatives.push((*parameter, functions[place.function]));

@@ -112,6 +112,18 @@ pub trait Functions: Send + Sync + Debug {
     /// The value of every function.
     fn values(&self, arguments: &[f64], out: &mut [f64]);
 
+    /// The same at several places side by side: `arguments` are arguments x places, `out` is functions x places; `room` may hold anything.
+    fn values_side_by_side(&self, places: usize, arguments: &[f64], room: &mut Vec<f64>, out: &mut [f64]) {
+        let (count, functions) = (arguments.len() / places, out.len() / places);
+        room.resize(count + functions, 0.0);
+        let (own, values) = room.split_at_mut(count);
+        for place in 0..places {
+            own.iter_mut().enumerate().for_each(|(argument, own)| *own = arguments[argument * places + place]);
+            self.values(own, values);
+            values.iter().enumerate().for_each(|(function, value)| out[function * places + place] = *value);
+        }
+    }
+
     /// The derivative of every function to the argument with the number `by`; zero for those that do not change smoothly.
     fn slopes(&self, _by: usize, _arguments: &[f64], out: &mut [f64]) {
         out.fill(0.0);

@@ -84,6 +84,19 @@ impl Functions for OrdinaryPolynomial {
         }
     }
 
+    fn values_side_by_side(&self, places: usize, arguments: &[f64], _: &mut Vec<f64>, out: &mut [f64]) {
+        for (values, &degree) in out.chunks_exact_mut(places).zip(&self.degrees) {
+            let each = values.iter_mut().zip(arguments);
+            // One loop for each of the usual degrees, so that the vector units take several places at once.
+            match degree {
+                1 => each.for_each(|(value, argument)| *value = power(*argument, 1)),
+                2 => each.for_each(|(value, argument)| *value = power(*argument, 2)),
+                3 => each.for_each(|(value, argument)| *value = power(*argument, 3)),
+                _ => each.for_each(|(value, argument)| *value = power(*argument, degree)),
+            }
+        }
+    }
+
     fn slopes(&self, _: usize, arguments: &[f64], out: &mut [f64]) {
         for (slope, &degree) in out.iter_mut().zip(&self.degrees) {
             *slope = if degree == 0 { 0.0 } else { f64::from(degree) * power(arguments[0], degree - 1) };
@@ -99,6 +112,18 @@ mod tests {
     #[test]
     fn powers_at_a_known_place() {
         assert_eq!(values(&OrdinaryPolynomial { degrees: vec![0, 1, 3] }, &[-2.0]), [1.0, -2.0, -8.0]);
+    }
+
+    #[test]
+    fn powers_side_by_side_are_those_of_each_place() {
+        let functions = OrdinaryPolynomial { degrees: (0..10).collect() };
+        let places: Vec<f64> = (0..7).map(|place| 1.3 * f64::from(place) - 4.0).collect();
+        let mut all = vec![f64::NAN; 10 * places.len()];
+        functions.values_side_by_side(places.len(), &places, &mut Vec::new(), &mut all);
+        for (place, argument) in places.iter().enumerate() {
+            let own: Vec<f64> = all.iter().skip(place).step_by(places.len()).copied().collect();
+            assert_eq!(own, values(&functions, &[*argument]));
+        }
     }
 
     proptest::proptest! {

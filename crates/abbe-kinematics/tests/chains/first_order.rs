@@ -101,7 +101,7 @@ fn first_order_poses_without_derivatives_are_the_same() {
             .collect();
         let [commands, errors, tips] = subject::beside(&machine, &poses);
         let given = Given { commands: &commands, errors: &errors, tips: &tips };
-        all.evaluate_first_order(&chain, given, Derivatives::None);
+        all.evaluate_first_order(&chain, given, Derivatives::None, true);
         for (pose, (commands, slots)) in poses.iter().enumerate() {
             let expected = first_order(&machine, &chain, commands, slots);
             let off = (all.pose(pose).position() - expected.position).norm() / (machine.size(commands) + 1e3);
