@@ -292,6 +292,17 @@ mod testing {
         out
     }
 
+    /// Checks that functions of one argument have the same values at several places side by side as at each.
+    pub fn side_by_side_is_each(functions: &dyn Functions, places: &[f64]) {
+        let count = places.len();
+        let mut all = vec![f64::NAN; functions.terms().len() * count];
+        functions.values_side_by_side(count, places, &mut vec![f64::NAN; 3], &mut all);
+        for (place, argument) in places.iter().enumerate() {
+            let own: Vec<f64> = all.iter().skip(place).step_by(count).copied().collect();
+            assert_eq!(own, values(functions, &[*argument]), "{argument}");
+        }
+    }
+
     pub fn slopes(functions: &dyn Functions, arguments: &[f64]) -> Vec<f64> {
         slopes_by(functions, 0, arguments)
     }

@@ -177,6 +177,29 @@ impl Functions for PiecewisePolynomial {
         out.iter_mut().zip(&self.constants).for_each(|(out, constant)| *out -= constant);
     }
 
+    fn values_side_by_side(&self, places: usize, arguments: &[f64], room: &mut Vec<f64>, out: &mut [f64]) {
+        room.resize(2 * places, 0.0);
+        let (ways, below) = room.split_at_mut(places);
+        let mut rows = out.chunks_exact_mut(places);
+        let mut put = |ways: &[f64], powers: &RangeInclusive<u8>| {
+            below.iter_mut().zip(ways).for_each(|(below, way)| *below = power(*way, powers.start() - 1));
+            for row in rows.by_ref().take(powers.clone().count()) {
+                for ((value, below), way) in row.iter_mut().zip(&mut *below).zip(ways) {
+                    *value = way * *below;
+                    *below *= way;
+                }
+            }
+        };
+        put(arguments, &self.powers);
+        for knot in &self.knots {
+            ways.iter_mut().zip(arguments).for_each(|(way, command)| *way = (command - knot).max(0.0));
+            put(ways, &self.truncated);
+        }
+        for (row, constant) in out.chunks_exact_mut(places).zip(&self.constants) {
+            row.iter_mut().for_each(|value| *value -= constant);
+        }
+    }
+
     fn slopes(&self, _: usize, arguments: &[f64], out: &mut [f64]) {
         self.each(arguments[0], out, |power, _, below| f64::from(power) * below);
         // The slope of a truncated line jumps at its knot, from zero.
@@ -203,7 +226,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::families::testing::{names, slopes, slopes_agree, values};
+    use crate::families::testing::{names, side_by_side_is_each, slopes, slopes_agree, values};
 
     #[test]
     fn values_by_hand() {
@@ -228,6 +251,15 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn values_side_by_side_are_those_of_each_place(
+            at in proptest::collection::vec(-150.0..150.0_f64, 1..9), highest in 1u8..=4, continuity in 0u8..=3, zero in any::<bool>(),
+        ) {
+            let own = PiecewisePolynomial::new(vec![-50.0, 20.0, 100.0], 1..=highest, continuity.min(highest - 1), None);
+            let own = if zero { own.zero_at_zero() } else { own };
+            side_by_side_is_each(&own, &at);
+        }
+
         #[test]
         fn values_and_slopes_do_not_jump_at_knots(knot in -200.0..200.0_f64, degree in 2u8..5) {
             let pieces = PiecewisePolynomial::new(vec![knot, knot + 10.0], 1..=degree, 1, None);

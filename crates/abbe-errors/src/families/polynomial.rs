@@ -107,7 +107,7 @@ impl Functions for OrdinaryPolynomial {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::families::testing::{slopes_agree, values};
+    use crate::families::testing::{side_by_side_is_each, slopes_agree, values};
 
     #[test]
     fn powers_at_a_known_place() {
@@ -116,14 +116,8 @@ mod tests {
 
     #[test]
     fn powers_side_by_side_are_those_of_each_place() {
-        let functions = OrdinaryPolynomial { degrees: (0..10).collect() };
         let places: Vec<f64> = (0..7).map(|place| 1.3 * f64::from(place) - 4.0).collect();
-        let mut all = vec![f64::NAN; 10 * places.len()];
-        functions.values_side_by_side(places.len(), &places, &mut Vec::new(), &mut all);
-        for (place, argument) in places.iter().enumerate() {
-            let own: Vec<f64> = all.iter().skip(place).step_by(places.len()).copied().collect();
-            assert_eq!(own, values(&functions, &[*argument]));
-        }
+        side_by_side_is_each(&OrdinaryPolynomial { degrees: (0..10).collect() }, &places);
     }
 
     proptest::proptest! {

@@ -149,6 +149,16 @@ impl Functions for WithoutTrend {
         self.take_off(self.trend_at(arguments[0]).0, out);
     }
 
+    fn values_side_by_side(&self, places: usize, arguments: &[f64], room: &mut Vec<f64>, out: &mut [f64]) {
+        self.functions.values_side_by_side(places, arguments, room, out);
+        for (place, command) in arguments[..places].iter().enumerate() {
+            let trend = self.trend_at(*command).0;
+            for (function, part) in self.parts.iter().enumerate() {
+                out[function * places + place] -= part[0] * trend[0] + part[1] * trend[1];
+            }
+        }
+    }
+
     fn slopes(&self, by: usize, arguments: &[f64], out: &mut [f64]) {
         self.functions.slopes(by, arguments, out);
         self.take_off(self.trend_at(arguments[0]).1, out);
@@ -221,7 +231,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::families::testing::{names, slopes_agree, values};
+    use crate::families::testing::{names, side_by_side_is_each, slopes_agree, values};
     use crate::families::{OrdinaryPolynomial, PiecewisePolynomial};
 
     fn pieces(knots: &[f64], first: u8, range: [f64; 2]) -> Box<dyn Functions> {
@@ -236,6 +246,14 @@ mod tests {
             assert!((values(&without, &[q])[0] - (q * q - 6.0 * q + 6.0)).abs() < 1e-13);
         }
         assert_eq!(names(&without), ["[2]"]);
+    }
+
+    #[test]
+    fn values_side_by_side_are_those_of_each_place() {
+        let places: Vec<f64> = (0..8).map(|place| 0.9 * f64::from(place) - 3.0).collect();
+        for trend in [Trend::Line, Trend::OncePerTurn] {
+            side_by_side_is_each(&WithoutTrend::new(pieces(&[-1.0, 1.5], 1, [-3.0, 4.0]), trend, [-3.0, 4.0]), &places);
+        }
     }
 
     #[test]
