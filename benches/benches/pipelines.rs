@@ -257,6 +257,9 @@ fn built(packages: &[&str]) -> PathBuf {
     }
 }
 
+/// A name, and how its problem is made.
+type Named<'a> = (&'a str, &'a dyn Fn() -> Result<Problem, Error>);
+
 /// The same fit with the model built in, through the border of a library, and in a process of its own.
 fn border(criterion: &mut Criterion) {
     let folder = LazyCell::new(|| built(&["abbe", "abbe-stock-library"]));
@@ -280,8 +283,7 @@ fn border(criterion: &mut Criterion) {
     let built_in = || Ok(fit.problem.as_ref().clone());
     let dynamic = || through(abbe_plugin::load(&folder.join(&name), None));
     let isolated = || through(abbe_plugin::isolated(&folder.join(&name), None, &limits()));
-    let problems: [(&str, &dyn Fn() -> Result<Problem, Error>); 3] =
-        [("built_in", &built_in), ("dynamic", &dynamic), ("isolated", &isolated)];
+    let problems: [Named<'_>; 3] = [("built_in", &built_in), ("dynamic", &dynamic), ("isolated", &isolated)];
     for (name, problem) in problems {
         criterion.bench_function(&format!("tango_s4_fit_{name}"), |bencher| {
             let problem = problem().unwrap_or_else(|error| panic!("{error}"));
