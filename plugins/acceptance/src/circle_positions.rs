@@ -3,6 +3,7 @@
 use std::f64::consts::PI;
 
 use abbe_core::{Column, Dataset, Quantity};
+use nalgebra::{Matrix3, Vector3};
 
 /// Fewest rows of a circle or an arc, and the least mean square distance of its unit vectors from their mean: an arc of 85 degrees.
 const ROWS: usize = 12;
@@ -70,7 +71,13 @@ type Mistake = (String, Box<dyn Fn(&Place) -> Place>);
 /// A sentence on the rows of one direction whose positions are not at their angles on the circle of this radius, mm. An offset of all
 /// angles has a sentence of its own elsewhere.
 pub fn contradicted(data: &Dataset, angle: &str, angles: &[f64], rows: &[usize], radius: f64) -> Option<String> {
-    let plane = plane(data, angle, radius)?;
+    if turns(data, angle) {
+        return None;
+    }
+    if let Some(sentence) = beside_any_plane(data, rows, radius) {
+        return Some(sentence);
+    }
+    let plane = plane(data, radius)?;
     let numbers = |axis: usize| data.numbers(&plane[axis].header.name);
     let (one, other) = (numbers(0)?, numbers(1)?);
     let angles: Vec<f64> = rows.iter().map(|row| angles[*row]).collect();
@@ -131,20 +138,50 @@ fn range(data: &Dataset, column: &Column) -> f64 {
     (high - low).max(0.0)
 }
 
-/// The two linear axes that move; none where others do, or a rotary axis turns, which has an angle of its own.
-fn plane<'a>(data: &'a Dataset, angle: &str, radius: f64) -> Option<[&'a Column; 2]> {
-    let varies = |column: &&Column, least: f64| {
-        data.numbers(&column.header.name).is_some_and(|values| values.iter().any(|own| (own - values[0]).abs() > least))
-    };
+/// Whether values of a column differ by more than this.
+fn varies(data: &Dataset, column: &Column, least: f64) -> bool {
+    data.numbers(&column.header.name).is_some_and(|values| values.iter().any(|own| (own - values[0]).abs() > least))
+}
+
+/// Whether a rotary axis turns, which has an angle of its own.
+fn turns(data: &Dataset, angle: &str) -> bool {
     let is_rotary = |column: &&Column| column.header.quantity == Quantity::Angle && column.header.name.len() == 1;
-    if angle.len() == 1 || data.columns.iter().filter(is_rotary).any(|column| varies(&column, 1e-3 * PI)) {
+    angle.len() == 1 || data.columns.iter().filter(is_rotary).any(|column| varies(data, column, 1e-3 * PI))
+}
+
+/// A sentence on rows whose positions are in no plane: a circle may be tilted, and those of two circles are not one.
+fn beside_any_plane(data: &Dataset, rows: &[usize], radius: f64) -> Option<String> {
+    let columns = AXES.map(|name| data.column(name).filter(|column| column.header.quantity == Quantity::Length));
+    let [Some(x), Some(y), Some(z)] = columns else { return None };
+    let numbers = |column: &Column| data.numbers(&column.header.name);
+    let (xs, ys, zs) = (numbers(x)?, numbers(y)?, numbers(z)?);
+    let places: Vec<Vector3<f64>> = rows.iter().map(|&row| Vector3::new(xs[row], ys[row], zs[row])).collect();
+    let off = from_a_plane(&places).filter(|off| *off > OFF * radius)?;
+    let [x, y, z] = [x, y, z].map(|column| &column.header.header);
+    Some(format!(
+        "the positions `{x}`, `{y}` and `{z}` are {off:.3} mm beside any plane (root mean square): are all rows those of this circle?"
+    ))
+}
+
+/// How far positions are from the plane that is nearest to them, mm (root mean square); none of few.
+fn from_a_plane(places: &[Vector3<f64>]) -> Option<f64> {
+    if places.len() < ROWS {
         return None;
     }
+    let count = places.len() as f64;
+    let centre = places.iter().sum::<Vector3<f64>>() / count;
+    let spread: Matrix3<f64> = places.iter().map(|place| (place - centre) * (place - centre).transpose()).sum();
+    let least = spread.symmetric_eigenvalues().min();
+    Some((least.max(0.0) / count).sqrt()).filter(|off| off.is_finite())
+}
+
+/// The two linear axes that move; none where others do.
+fn plane(data: &Dataset, radius: f64) -> Option<[&Column; 2]> {
     let column = |name: &str| data.column(name).filter(|column| column.header.quantity == Quantity::Length);
     // A radius that is far too large hides no axis that moves.
     let least =
         1e-3 * AXES.iter().filter_map(|name| column(name)).map(|own| range(data, own)).fold(0.0, f64::max).min(radius);
-    let of = |name: &str| column(name).filter(|column| least > STILL && varies(column, least));
+    let of = |name: &str| column(name).filter(|column| least > STILL && varies(data, column, least));
     match AXES.map(of) {
         [Some(x), Some(y), None] => Some([x, y]),
         [None, Some(y), Some(z)] => Some([y, z]),
@@ -158,6 +195,7 @@ mod tests {
     use std::f64::consts::TAU;
 
     use abbe_numerics::Generator;
+    use nalgebra::{Unit, UnitQuaternion};
 
     use super::*;
 
@@ -191,6 +229,33 @@ mod tests {
             let (angles, places, radius) = circle(seed);
             assert_eq!(sentence(NAMES, "angle", &angles, &places, radius), None, "{seed}");
         }
+    }
+
+    /// A circle may be tilted, and its axes are off a little; the rows of another plane are in none with those of this one.
+    #[test]
+    fn rows_of_two_planes_are_in_none() {
+        let mut generator = Generator::new(7, 0);
+        for seed in 0..2_000 {
+            let (_, places, radius) = circle(seed);
+            let tilt = UnitQuaternion::from_scaled_axis(Vector3::from([(); 3].map(|()| 0.4 * generator.normal())));
+            let in_space = |[one, other]: Place, beside: f64| tilt * Vector3::new(one, other, beside);
+            let good: Vec<_> = places.iter().map(|own| in_space(*own, 1e-3 * radius * generator.uniform())).collect();
+            let off = from_a_plane(&good).unwrap();
+            assert!(off < OFF * radius, "{seed}: {off} of {radius}");
+            // A fifth of the rows is that of a circle in another plane through its centre.
+            let count = good.len() as f64;
+            let centre = good.iter().sum::<Vector3<f64>>() / count;
+            let axis = tilt * Unit::new_normalize(Vector3::new(1.0, 0.0, 0.0));
+            let turned = UnitQuaternion::from_axis_angle(&axis, std::f64::consts::FRAC_PI_2);
+            let mixed: Vec<_> = good
+                .iter()
+                .enumerate()
+                .map(|(row, place)| if row % 5 == 0 { centre + turned * (place - centre) } else { *place })
+                .collect();
+            let off = from_a_plane(&mixed).unwrap();
+            assert!(off > OFF * radius, "{seed}: {off} of {radius}");
+        }
+        assert_eq!(from_a_plane(&[Vector3::zeros(); ROWS - 1]), None);
     }
 
     #[test]
