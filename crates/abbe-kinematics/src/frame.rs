@@ -41,25 +41,8 @@ pub(crate) struct Frame<S: Simd> {
     pub origin: Vector<S>,
     /// Nominal position of the frame with all axes at zero.
     nominal: Vector3<f64>,
-    /// What the errors on the way add up to, if they do not move the frame.
-    pub sum: Option<Sum<S>>,
-}
-
-/// The sum of the effects of some errors, each on a rigid body that nothing else moves: it is of first order in the errors.
-#[derive(Clone, Copy)]
-pub(crate) struct Sum<S: Simd> {
-    /// How far the body moves at the origin of the bed.
-    shift: Vector<S>,
-    /// By what it turns.
-    pub turn: Vector<S>,
-}
-
-impl<S: Simd> Sum<S> {
-    /// How far the body moves at a point.
-    #[inline(always)]
-    pub fn shift_at(&self, point: Vector<S>) -> Vector<S> {
-        self.shift + self.turn.cross(point)
-    }
+    /// Whether errors move it. Else they are noted beside the nominal way.
+    pub is_moved_by_errors: bool,
 }
 
 /// Whether one of these numbers is not zero; NaN is none.
@@ -72,30 +55,13 @@ impl<S: Simd> Frame<S> {
     #[inline(always)]
     pub fn bed(simd: S) -> Self {
         let origin = Vector::all(simd, &Vector3::zeros());
-        Self { simd, directions: Directions::same(simd), origin, nominal: Vector3::zeros(), sum: None }
+        Self { simd, directions: Directions::same(simd), origin, nominal: Vector3::zeros(), is_moved_by_errors: true }
     }
 
-    /// The same, for the nominal way: errors add up beside it.
+    /// The same, for the nominal way.
     #[inline(always)]
     pub fn nominal_bed(simd: S) -> Self {
-        let none = Vector::all(simd, &Vector3::zeros());
-        Self { sum: Some(Sum { shift: none, turn: none }), ..Self::bed(simd) }
-    }
-
-    /// Adds the effects of errors of this frame, shifts and turns, to a sum.
-    #[inline(always)]
-    pub fn add_to(&self, sum: Sum<S>, (shifts, turns): (&[f64], &[f64])) -> Sum<S> {
-        let Sum { mut shift, mut turn } = sum;
-        let outwards = |errors: &[f64]| self.directions.outwards(Vector::at(self.simd, S::as_simd_f64s(errors).0, 0));
-        if any(shifts) {
-            shift = shift + outwards(shifts);
-        }
-        if any(turns) {
-            let own = outwards(turns);
-            shift = shift - own.cross(self.origin);
-            turn = turn + own;
-        }
-        Sum { shift, turn }
+        Self { is_moved_by_errors: false, ..Self::bed(simd) }
     }
 
     /// Goes to a point of a rotary axis.

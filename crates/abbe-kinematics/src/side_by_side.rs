@@ -5,9 +5,11 @@ use abbe_core::{AxisKind, Branch};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use pulp::{Arch, Scalar, Simd, WithSimd};
 
-use crate::chain::{Chain, ChainAxis, Derivatives, ErrorFrame, Evaluation};
+use crate::chain::{Chain, ChainAxis, Derivatives, ErrorFrame};
 use crate::frame::{Frame, MOST, Turn, any};
 use crate::number::{Directions, Number, Vector};
+
+mod first_order;
 
 /// What is evaluated. In each list the numbers of all poses stand side by side: those of the first axis, then those of the second.
 #[derive(Debug, Clone, Copy)]
@@ -163,24 +165,6 @@ impl WithSimd for Whole<'_> {
     }
 }
 
-/// An evaluation to first order without derivatives: compiled for each kind of vector unit.
-struct ToFirstOrder<'a> {
-    chain: &'a Chain,
-    given: Given<'a>,
-    rotations: bool,
-    out: &'a mut Evaluations,
-}
-
-impl WithSimd for ToFirstOrder<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Self { chain, given, rotations, out } = self;
-        out.walk_nominally(simd, chain, given, rotations);
-    }
-}
-
 impl Evaluations {
     /// Room for as many poses as this processor takes at once.
     pub fn side_by_side() -> Self {
@@ -248,50 +232,6 @@ impl Evaluations {
         self.turn_by_command.resize(vectors * commands, 0.0);
     }
 
-    /// The poses of a chain to first order in the errors, with all derivatives of these if some are wanted
-    /// ([`Chain::evaluate_first_order`]). Without derivatives rotations are those without errors unless they are wanted.
-    pub fn evaluate_first_order(
-        &mut self,
-        chain: &Chain,
-        given: Given<'_>,
-        derivatives: Derivatives<'_>,
-        rotations: bool,
-    ) {
-        if derivatives == Derivatives::None {
-            self.make_room(chain, derivatives);
-            let (poses, whole) = (self.poses, ToFirstOrder { chain, given, rotations, out: self });
-            return match poses {
-                1 => whole.with_simd(Scalar),
-                _ => Arch::new().dispatch(whole),
-            };
-        }
-        let (poses, mut one) = (self.poses, Evaluation::default());
-        for pose in 0..poses {
-            let of_pose = |list: &[f64]| -> Vec<f64> { list.iter().skip(pose).step_by(poses).copied().collect() };
-            let (commands, errors, tip) = (of_pose(given.commands), of_pose(given.errors), of_pose(given.tips));
-            let errors = errors.as_chunks().0;
-            chain.evaluate_first_order(&commands, errors, &Vector3::new(tip[0], tip[1], tip[2]), &mut one);
-            self.take(pose, &one);
-        }
-    }
-
-    /// Takes a pose that was evaluated alone.
-    fn take(&mut self, pose: usize, one: &Evaluation) {
-        let poses = self.poses;
-        let write = |list: &mut Vec<f64>, numbers: &[f64]| {
-            list.resize(poses * numbers.len(), 0.0);
-            let places = list.iter_mut().skip(pose).step_by(poses);
-            places.zip(numbers).for_each(|(place, number)| *place = *number);
-        };
-        let coordinates = |vectors: &[Vector3<f64>]| -> Vec<f64> { vectors.iter().flatten().copied().collect() };
-        write(&mut self.positions, one.position.as_slice());
-        write(&mut self.rotations, one.rotation.as_slice());
-        write(&mut self.by_error, &coordinates(one.by_error.as_flattened()));
-        write(&mut self.turn_by_error, &coordinates(one.turn_by_error.as_flattened()));
-        write(&mut self.by_command, &coordinates(&one.by_command));
-        write(&mut self.turn_by_command, &coordinates(&one.turn_by_command));
-    }
-
     /// Walks both branches; returns the directions of the table, and the tip, bed coordinates.
     #[inline(always)]
     fn walk_both<S: Simd>(&mut self, simd: S, chain: &Chain, given: Given<'_>) -> (Directions<S>, Vector<S>) {
@@ -299,27 +239,6 @@ impl Evaluations {
         let table = workpiece.directions;
         self.write_pose(table.inwards(tool.origin - workpiece.origin), table.all_inwards(tool.directions.0));
         (table, tool.origin)
-    }
-
-    /// Walks both branches as if there were no errors, and adds what these do, to first order.
-    #[inline(always)]
-    fn walk_nominally<S: Simd>(&mut self, simd: S, chain: &Chain, given: Given<'_>, rotations: bool) {
-        let [workpiece, tool] = self.ends(chain, given, || Frame::nominal_bed(simd));
-        let (Some(of_workpiece), Some(of_tool)) = (workpiece.sum, tool.sum) else { return };
-        let (table, tip) = (workpiece.directions, tool.origin);
-        let shift = of_tool.shift_at(tip) - of_workpiece.shift_at(tip);
-        self.write_pose(table.inwards(tip - workpiece.origin + shift), table.all_inwards(tool.directions.0));
-        if !rotations {
-            return;
-        }
-        let mut turns = [0.0; 3 * MOST];
-        let turns = &mut turns[..3 * self.poses];
-        table.inwards(of_tool.turn - of_workpiece.turn).write(S::as_mut_simd_f64s(turns).0, 0);
-        for pose in 0..self.poses {
-            let turned = Rotation3::new(vector(turns, 0, (self.poses, pose))) * self.pose(pose).rotation();
-            let numbers = self.rotations.iter_mut().skip(pose).step_by(self.poses);
-            numbers.zip(&turned).for_each(|(number, turned)| *number = *turned);
-        }
     }
 
     /// The table, and the frame of the tool at its tip.
@@ -370,9 +289,8 @@ impl Evaluations {
         let width = self.poses;
         let errors = &errors[6 * width * slot..6 * width * (slot + 1)];
         let (shifts, turns) = errors.split_at(3 * width);
-        if let Some(sum) = frame.sum {
-            frame.sum = Some(frame.add_to(sum, (shifts, turns)));
-            return;
+        if !frame.is_moved_by_errors {
+            return self.note(frame, slot, (shifts, turns));
         }
         if any(shifts) {
             frame.origin =
