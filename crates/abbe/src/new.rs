@@ -103,7 +103,7 @@ impl New {
         let beginning = begin(&chain, method, self.controller, &libraries.registry(None)?, &monitor)?;
         let bytes = |(name, text): (&PathBuf, &String)| (name.clone(), text.clone().into_bytes());
         let files: BTreeMap<PathBuf, Vec<u8>> = beginning.files.iter().map(bytes).collect();
-        write_folder(&self.folder, &files)?;
+        interrupt::while_writing(|| write_folder(&self.folder, &files))?;
         Ok(self.told(&beginning, method, &chain))
     }
 
