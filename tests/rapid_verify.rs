@@ -592,7 +592,7 @@ fn the_stock_of_a_cut_is_judged_point_by_point() {
     let largest = |text: String| other(text).expect("figures").figures[0].clone();
     let few = largest(lines[..3].join("\n") + "\n");
     let why = few.inconclusive.as_deref().unwrap_or_default().to_owned();
-    assert!(few.passes() && why.starts_with("back of 3 were not touched"), "{few:?}");
+    assert!(few.passes() && why.starts_with("1 of 3 points was not touched, first back"), "{few:?}");
     assert!(!largest(touches.to_owned()).passes());
     for (text, words) in [
         (format!("{touches}top,10,20,233.305,0,0,233.305\n"), "point top is touched a second time"),

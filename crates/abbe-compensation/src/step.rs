@@ -28,12 +28,13 @@ impl Task {
         }
     }
 
-    /// Whether steps of axes move the tip where it is to be corrected.
+    /// Whether steps of axes move the tip along the sensitive direction, if there is one.
     pub(crate) fn is_moved_by(&self, derivatives: &[Vector3<f64>]) -> bool {
-        derivatives.iter().any(|derivative| match self {
-            Self::Components(_) => derivative.norm() > PARALLEL,
-            Self::Along(direction) => direction.dot(derivative).abs() > PARALLEL,
-        })
+        match self {
+            // What linear axes cannot correct stays, or rotary axes do it.
+            Self::Components(_) => true,
+            Self::Along(direction) => derivatives.iter().any(|derivative| direction.dot(derivative).abs() > PARALLEL),
+        }
     }
 }
 

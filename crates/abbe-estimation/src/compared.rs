@@ -79,7 +79,7 @@ impl Fitted {
         fitted.filter(Self::is_beyond_chance)
     }
 
-    /// Residuals at values of the unknowns: no fit of these rows scatters more. None without values.
+    /// How residuals at values of the unknowns scatter: the best fit of these rows scatters no more. None without values.
     pub fn scatter_at(problem: &Problem, values: Option<&[f64]>) -> Option<Self> {
         let residuals = problem.residuals(values?).ok()?;
         let weighted = Weighted::new(problem).ok()?;

@@ -68,8 +68,8 @@ impl Round {
 /// What may be wrong: its words, and what corrects it.
 type Mistake = (String, Box<dyn Fn(&Place) -> Place>);
 
-/// A sentence on the rows of one direction whose positions are not at their angles on the circle of this radius, mm. An offset of all
-/// angles has a sentence of its own elsewhere.
+/// A sentence on the rows of one direction whose positions are in no plane, or not at their angles (rad) on the circle of this radius,
+/// mm. An offset of all angles has a sentence of its own elsewhere.
 pub fn contradicted(data: &Dataset, angle: &str, angles: &[f64], rows: &[usize], radius: f64) -> Option<String> {
     if turns(data, angle) {
         return None;

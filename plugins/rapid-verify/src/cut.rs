@@ -151,10 +151,10 @@ fn untouched(points: &Points, touched: &[bool]) -> Option<String> {
     let left = points.list.iter().zip(touched).filter(|(_, touched)| !**touched);
     let labels: Vec<&str> = left.map(|(point, _)| point.label.as_str()).collect();
     let (first, count) = (labels.first()?, labels.len());
-    let more = if count > 1 { format!(" and {} more points", count - 1) } else { String::new() };
     Some(format!(
-        "{first}{more} of {} were not touched: leave out of the nominal file what is not to be judged",
-        touched.len()
+        "{count} of {} points {} not touched, first {first}: leave out of the nominal file what is not to be judged",
+        touched.len(),
+        if count == 1 { "was" } else { "were" }
     ))
 }
 

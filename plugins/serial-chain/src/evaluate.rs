@@ -160,20 +160,24 @@ impl SerialChain {
         let (width, columns) = (poses.poses(), self.info.status.len());
         let mut unknown: Option<(usize, Error)> = None;
         for basis in bases.iter().map(|&basis| &self.bases[basis]) {
-            // Places without a pose have arguments of zero.
-            arguments.clear();
             arguments.resize(basis.arguments.len() * width, 0.0);
             for (place, status) in statuses.chunks_exact(columns).enumerate() {
                 let at = At { status, values };
                 match self.arguments_known(basis, at, room) {
+                    // Places without a pose get what the first one has: nothing is evaluated where it is not known.
                     Ok(own) => {
-                        own.iter().enumerate().for_each(|(argument, own)| arguments[argument * width + place] = *own);
+                        let places = if place == 0 { 0..width } else { place..place + 1 };
+                        let all = arguments.chunks_exact_mut(width).zip(own);
+                        all.for_each(|(argument, own)| argument[places.clone()].fill(*own));
                     }
                     Err(error) if unknown.as_ref().is_none_or(|(first, _)| place < *first) => {
                         unknown = Some((place, error));
                     }
                     Err(_) => (),
                 }
+            }
+            if unknown.is_some() {
+                continue;
             }
             let own = &mut functions[basis.first * width..(basis.first + basis.count) * width];
             basis.functions.values_side_by_side(width, arguments, of_pose, own);
