@@ -518,6 +518,9 @@ fn the_command_corrects_files() {
         figures["tip_rms_um"]["after"].as_f64().expect("a number")
     };
     assert!(left("1,1,1") < left("1,100,1"), "{} {}", left("1,1,1"), left("1,100,1"));
+    // Weights that are far apart would move an axis by metres for what is left of another direction.
+    refused(&["--correct", "X,Z", "--weights", "1,1e6,1", "--out", "far.csv"], 1, "corrected, the tip is");
+    assert!(!at("far.csv").exists());
     refused(&["--largest-tip-correction-mm", "0"], 2, "largest_tip_correction_mm");
     refused(&["--largest-tip-correction-mm", "-1"], 2, "largest_tip_correction_mm");
     refused(&["--out", "nowhere/new.csv"], 1, "its folder does not exist");

@@ -1,6 +1,8 @@
 //! Corrected NC programs: what an interpreter that shares no code with the corrector, and a virtual machine with errors, make of them.
 
 mod empty;
+#[cfg(target_os = "linux")]
+mod ended;
 pub mod grammar;
 pub mod interpreter;
 mod klartext;

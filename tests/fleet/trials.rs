@@ -80,6 +80,7 @@ fn what_cannot_be_dealt_out_is_refused() {
         ("trials: 2000", "fit", "this is no estimate by trials in blocks"),
         ("adaptive: { most: 20000 }", "spread", "a number that is fixed before"),
         ("seed: 2", "spread", "the number of trials is missing"),
+        ("trials: 1000000000000", "spread", "10000000000 jobs, at most 10000 were expected"),
     ] {
         write(&at.join("recipe.yaml"), &(Plant::of(1).recipe().to_owned() + &trials.replace("SETTINGS", settings)));
         write(&at.join("fleet.yaml"), &fleet.replace("STAGE", stage));

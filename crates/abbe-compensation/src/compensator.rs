@@ -236,6 +236,13 @@ impl<'a> Compensator<'a> {
             }
             let status = &statuses[own];
             let fails = |error: Error| Err(error.at_pose(point));
+            let (off, most) = (correction.after.distance(), self.settings.largest_tip_correction_mm);
+            if off > most {
+                let message = format!("corrected, the tip is {off:.3} mm off; at most {most} mm are allowed");
+                let help = "`weights` far apart move some axes far for small errors of another direction: leave them out, or state \
+                            weights that differ less";
+                return fails(Error::data(message).help(help).setting("largest_tip_correction_mm"));
+            }
             if self.settings.method == Method::Exact && !states[point].is_settled() {
                 return fails(Error::data("no commands are found that correct this point"));
             }

@@ -215,10 +215,21 @@ impl FamilyPlan<'_> {
         }
         let all = stage["trials"].as_u64().and_then(|all| usize::try_from(all).ok()).filter(|all| *all > 0);
         let all = all.ok_or_else(|| wrong("the number of trials is missing: `trials: 100000`".to_owned()))?;
+        let count = all.div_ceil(trials.block);
+        if count > MOST_BLOCKS {
+            let message = format!(
+                "{all} trials in blocks of {} are {count} jobs, at most {MOST_BLOCKS} were expected",
+                trials.block
+            );
+            return Err(wrong(message).help("choose a larger `block`"));
+        }
         let block = |first| Trials { of: wanted.name.clone(), first, count: trials.block.min(all - first), all };
         Ok((0..all).step_by(trials.block).map(block).collect())
     }
 }
+
+/// Most blocks of the trials of a calculation: more of them take longer to deal out than to solve.
+const MOST_BLOCKS: usize = 10_000;
 
 /// What people call a block.
 fn name_of_block(Trials { of, first, count, .. }: &Trials) -> String {

@@ -142,7 +142,7 @@ impl WithSimd for AtOnce {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> usize {
-        if S::F64_LANES > MOST { 1 } else { S::F64_LANES }
+        if S::F64_LANES.is_power_of_two() && S::F64_LANES <= MOST { S::F64_LANES } else { 1 }
     }
 }
 
@@ -194,7 +194,7 @@ impl Evaluations {
         }
     }
 
-    /// How many poses it has.
+    /// How many poses it has: 1, 2, 4 or 8.
     pub fn poses(&self) -> usize {
         self.poses
     }

@@ -137,6 +137,8 @@ pub enum End {
     Converged,
     /// No step along the direction of descent made the residuals smaller.
     NoProgress,
+    /// Steps hardly shrank, and would not have been small at the limit of iterations.
+    Standing,
     /// The limit of iterations was reached.
     IterationLimit,
     /// The limit of rounds of robust weights was reached, and the weights still change.
@@ -277,7 +279,7 @@ fn minimise_after<P: Descent + ?Sized>(
     (weights, options): (Option<&[f64]>, &Options),
 ) -> Result<Minimum<P::Factor>, P::Error> {
     let mut smallest = f64::INFINITY;
-    let mut trials = 0;
+    let (mut trials, mut standing) = (0, 0);
     for iterations in 1..=options.iterations {
         let Some((step, size)) = step_of(&factor) else {
             return Ok(Minimum { x, end: End::NoProgress, iterations, last_step: f64::NAN, factor });
@@ -311,6 +313,15 @@ fn minimise_after<P: Descent + ?Sized>(
                     return Ok(Minimum { x: lower.x, end, iterations, last_step: size, factor: lower.factor });
                 }
                 let whole = lower.part == 1.0;
+                // A step promises to lower the sum of squares by its own.
+                let is_kept = size > 1.0 && factor.cost() - lower.factor.cost() >= KEPT * size * size;
+                let still = (options.iterations - iterations) as i32;
+                let stands = |ratio: f64| ratio > HARDLY && size * ratio.powi(still) > options.tolerance;
+                standing = if whole && !is_kept && ratio.is_some_and(stands) { standing + 1 } else { 0 };
+                if standing == STANDING {
+                    let end = End::Standing;
+                    return Ok(Minimum { x: lower.x, end, iterations, last_step: size, factor: lower.factor });
+                }
                 (x, factor) = (lower.x, lower.factor);
                 last = whole.then_some(size);
                 last_ratio = ratio.filter(|_| whole);
@@ -331,6 +342,13 @@ fn minimise_after<P: Descent + ?Sized>(
     let end = if next <= CUT && left <= CUT { End::Converged } else { End::IterationLimit };
     Ok(Minimum { x, end, iterations: options.iterations, last_step: next, factor })
 }
+
+/// So many whole steps, one after the other, that shrink by less than a hundredth each lead nowhere: rounding, or what the rows hardly tell,
+/// makes each of them anew. Steps of more than a standard uncertainty may yet find a way: not those that lower the sum of squares by less
+/// than this part of what they promise.
+const STANDING: usize = 5;
+const HARDLY: f64 = 0.99;
+const KEPT: f64 = 0.5;
 
 /// What is left after a step of this size if steps go on shrinking by this ratio.
 fn remaining(size: f64, ratio: f64) -> f64 {

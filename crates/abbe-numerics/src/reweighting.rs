@@ -50,7 +50,8 @@ pub(crate) fn solve_robust<P: LeastSquares + ?Sized>(
             settled = rounds.reweigh(robust, &sizes, 1.0) < options.settled;
             let mut step: Vec<f64> = minimum.x.iter().map(|value| -value).collect();
             minimum = rounds.minimise(minimum, settled)?;
-            if settled || matches!(minimum.end, End::NoProgress | End::IterationLimit | End::TimeLimit) {
+            if settled || matches!(minimum.end, End::NoProgress | End::Standing | End::IterationLimit | End::TimeLimit)
+            {
                 break;
             }
             let Some(there) = in_time(problem, rounds.residuals(&minimum.x))? else {

@@ -76,7 +76,7 @@ pub struct Error {
 pub enum Termination {
     /// The last step was below the tolerance.
     Converged,
-    /// No step made the residuals smaller, and the last one was not small.
+    /// No step made the residuals smaller, or steps no longer shrank, and the last one was not small.
     NoProgress,
     /// The limit of iterations was reached.
     IterationLimit,

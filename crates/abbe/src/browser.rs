@@ -2,11 +2,12 @@
 
 use std::io::{Read, Write};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use abbe_core::{Error, Result};
 
+use crate::children;
 use crate::interrupt::{self, TemporaryFolder};
 
 /// The variable with the browser's program, and names that are tried without it.
@@ -49,8 +50,7 @@ pub fn pdf(page: &str) -> Result<Vec<u8>> {
     command.arg(format!("file://{}", source.display()));
     // What it keeps elsewhere than in its profile goes with the folder, too.
     command.env("TMPDIR", folder.path());
-    #[cfg(unix)]
-    std::os::unix::process::CommandExt::process_group(&mut command, 0);
+    children::apart(&mut command);
     let told = std::fs::File::create(&log).map_err(failed)?;
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(told);
     let mut browser = command
@@ -62,11 +62,11 @@ pub fn pdf(page: &str) -> Result<Vec<u8>> {
             break status;
         }
         if interrupt::happened() {
-            end(&mut browser);
+            children::end(&mut browser);
             return Err(Error::interrupted());
         }
         if began.elapsed() > LONGEST {
-            end(&mut browser);
+            children::end(&mut browser);
             let seconds = LONGEST.as_secs();
             return Err(Error::data(format!("the browser `{name}` did not print the page within {seconds} s")));
         }
@@ -81,14 +81,6 @@ pub fn pdf(page: &str) -> Result<Vec<u8>> {
             Err(Error::data(format!("the browser `{name}` printed no page ({status}): {last}")).help(help()))
         }
     }
-}
-
-/// Ends the browser with all that it has started, which would write into its folder while that is removed.
-fn end(browser: &mut Child) {
-    #[cfg(unix)]
-    let _ =
-        rustix::process::kill_process_group(rustix::process::Pid::from_child(browser), rustix::process::Signal::KILL);
-    let _ = browser.kill().and_then(|()| browser.wait());
 }
 
 fn help() -> String {

@@ -11,6 +11,7 @@ mod brief;
 mod browser;
 mod calibrated;
 mod checked;
+mod children;
 mod compensate;
 mod correct;
 mod data;

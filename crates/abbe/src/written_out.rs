@@ -6,7 +6,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::rc::Rc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -14,6 +14,7 @@ use abbe_controllers::{Canonical, Options, prepare};
 use abbe_core::{Error, Result};
 use abbe_files::{LARGEST_RESULT, read_text};
 
+use crate::children;
 use crate::interrupt::{self, TemporaryFolder};
 
 /// LinuxCNC's interpreter without a machine.
@@ -52,6 +53,8 @@ pub struct WrittenOut {
     output: BufReader<ChildStdout>,
     child: Arc<Mutex<Child>>,
     commands: Arc<AtomicU64>,
+    /// Whether it was ended because it came to no command.
+    is_silent: Arc<AtomicBool>,
     folder: TemporaryFolder,
     options: Options,
     origins: Rc<RefCell<Origins>>,
@@ -78,7 +81,9 @@ impl WrittenOut {
             std::fs::write(folder.path().join(name), text).map_err(failed)?;
         }
         let told = File::create(folder.path().join("told")).map_err(failed)?;
-        let child = Command::new(INTERPRETER)
+        let mut command = Command::new(INTERPRETER);
+        children::apart(&mut command);
+        let child = command
             .args(["-g", "-t", "tool.tbl", "-v", "part.var", "part.ngc"])
             .current_dir(folder.path())
             .stdin(Stdio::null())
@@ -93,11 +98,13 @@ impl WrittenOut {
             return Err(Error::usage(format!("`{INTERPRETER}` has no output")));
         };
         let (child, commands) = (Arc::new(Mutex::new(child)), Arc::new(AtomicU64::new(0)));
-        watch(Arc::downgrade(&child), Arc::clone(&commands));
+        let is_silent = Arc::new(AtomicBool::new(false));
+        watch(Arc::downgrade(&child), Arc::clone(&commands), Arc::clone(&is_silent));
         Ok(Self {
             output: BufReader::new(output),
             child,
             commands,
+            is_silent,
             folder,
             options: options.clone(),
             origins: Rc::new(RefCell::new(Origins { canonical: Some(Canonical::new(options)), failed: None })),
@@ -161,8 +168,12 @@ impl WrittenOut {
         let said = lines.iter().find(|line| number_of(line).is_none());
         let message = match said {
             Some(said) => format!("LinuxCNC's interpreter says: {said}"),
-            None if status.is_some_and(|status| status.code().is_none()) => {
+            None if self.is_silent.load(Ordering::Relaxed) => {
                 format!("LinuxCNC's interpreter was stopped: for {SILENCE} s it came to no command")
+            }
+            None if status.is_some_and(|status| status.code().is_none()) => {
+                let status = status.map(|status| status.to_string()).unwrap_or_default();
+                format!("LinuxCNC's interpreter was ended before the end of the program ({status})")
             }
             None => "the program has no end: LinuxCNC's interpreter came to no M2, M30 or %".to_owned(),
         };
@@ -197,15 +208,14 @@ impl Read for WrittenOut {
 impl Drop for WrittenOut {
     fn drop(&mut self) {
         if let Ok(mut child) = self.child.lock() {
-            let _ = child.kill();
-            let _ = child.wait();
+            children::end(&mut child);
         }
     }
 }
 
 /// Ends an interpreter that comes to no command for a long time, or when a signal asks Abbe to end: who waits for its output then goes
 /// on, and clears away its folder.
-fn watch(child: std::sync::Weak<Mutex<Child>>, commands: Arc<AtomicU64>) {
+fn watch(child: std::sync::Weak<Mutex<Child>>, commands: Arc<AtomicU64>, is_silent: Arc<AtomicBool>) {
     std::thread::spawn(move || {
         let (mut last, mut since) = (0, Instant::now());
         loop {
@@ -215,9 +225,11 @@ fn watch(child: std::sync::Weak<Mutex<Child>>, commands: Arc<AtomicU64>) {
             if now != last {
                 (last, since) = (now, Instant::now());
             }
-            if since.elapsed().as_secs() >= SILENCE || interrupt::happened() {
+            let is_late = since.elapsed().as_secs() >= SILENCE;
+            if is_late || interrupt::happened() {
+                is_silent.store(is_late, Ordering::Relaxed);
                 if let Ok(mut child) = child.lock() {
-                    let _ = child.kill();
+                    children::end(&mut child);
                 }
                 return;
             }

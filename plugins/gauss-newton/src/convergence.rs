@@ -17,6 +17,10 @@ fn not_converged<F>(solution: &Solution<F>, options: &Options) -> Error {
         End::Converged | End::NoProgress => {
             (Termination::NoProgress, format!("no step makes the residuals smaller{}", left_out(solution)))
         }
+        End::Standing => {
+            let after = format!("after {} iterations its steps no longer shrink", solution.iterations);
+            (Termination::NoProgress, format!("{after}{}", left_out(solution)))
+        }
         End::IterationLimit => {
             let limit = match solution.iterations.cmp(&options.iterations) {
                 Ordering::Less => {

@@ -29,8 +29,6 @@ struct Term {
     basis: usize,
     function: usize,
     value: f64,
-    /// Whether it is the first term of its error.
-    is_first: bool,
 }
 
 /// The values of the functions at a pose.
@@ -80,13 +78,9 @@ impl SerialChain {
             basis: place.basis,
             function: place.function,
             value: values[*parameter],
-            is_first: true,
         });
         let mut terms: Vec<Term> = terms.filter(|term| term.value != 0.0).collect();
         terms.sort_by_key(|term| term.error);
-        for place in 1..terms.len() {
-            terms[place].is_first = terms[place - 1].error != terms[place].error;
-        }
         terms
     }
 
@@ -211,17 +205,27 @@ fn changes(statuses: &[f64], columns: usize) -> Vec<bool> {
     changes
 }
 
-/// Writes errors, each the sum of some terms, of all poses that are evaluated together, whose functions are known. Errors without a
-/// term stay zero.
+/// Writes errors of all poses that are evaluated together, each the sum of its terms, whose functions are known. Errors without a term
+/// stay zero.
 fn give_errors(work: &mut Work, errors_of: &[&[Term]]) {
     let Work { functions, errors, poses, .. } = work;
-    let width = poses.poses();
-    for term in errors_of.iter().copied().flatten() {
-        let functions = &functions[term.function * width..(term.function + 1) * width];
-        let errors = errors[term.error * width..(term.error + 1) * width].iter_mut().zip(functions);
-        match term.is_first {
-            true => errors.for_each(|(error, function)| *error = term.value * function),
-            false => errors.for_each(|(error, function)| *error += term.value * function),
+    // A number that is known while this is compiled needs no loops.
+    match poses.poses() {
+        8 => give_sums::<8>(functions, errors, errors_of),
+        4 => give_sums::<4>(functions, errors, errors_of),
+        2 => give_sums::<2>(functions, errors, errors_of),
+        _ => give_sums::<1>(functions, errors, errors_of),
+    }
+}
+
+fn give_sums<const POSES: usize>(functions: &[f64], errors: &mut [f64], errors_of: &[&[Term]]) {
+    let (functions, errors) = (functions.as_chunks::<POSES>().0, errors.as_chunks_mut::<POSES>().0);
+    for of_error in errors_of {
+        let Some(Term { error, .. }) = of_error.first() else { continue };
+        let mut sum = [0.0; POSES];
+        for term in *of_error {
+            sum.iter_mut().zip(&functions[term.function]).for_each(|(sum, function)| *sum += term.value * function);
         }
+        errors[*error] = sum;
     }
 }

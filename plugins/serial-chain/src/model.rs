@@ -13,7 +13,9 @@ use nalgebra::Vector3;
 use crate::builder::{Builder, finite, key};
 use crate::derivatives::{At, of_one_error};
 use crate::evaluate::AtPose;
-use crate::nominal::{FARTHEST, chain_axis, long_tool, settle_body, settle_time, temperature_is_there, time_is_there};
+use crate::nominal::{
+    FARTHEST, chain_axis, doubtful_tool, settle_body, settle_time, temperature_is_there, time_is_there,
+};
 use crate::settings::Settings;
 
 /// A serial chain with its error families.
@@ -139,7 +141,7 @@ impl SerialChain {
             return Err(SettingsError::new("stylus_radius_mm", "a radius cannot be negative"));
         }
         let chain_axes = named.axes.iter().map(|axis| chain_axis(axis, settings)).collect::<Result<Vec<_>, _>>()?;
-        if let Some(words) = long_tool(settings).filter(|_| !data.is_empty()) {
+        if let Some(words) = doubtful_tool(settings).filter(|_| !data.is_empty()) {
             tracing::warn!("{words}");
         }
         let mut builder = Builder::new(Chain::new(chain_axes), &named, settings)?;

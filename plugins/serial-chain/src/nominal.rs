@@ -17,16 +17,21 @@ pub(crate) const FARTHEST: f64 = 1e6;
 const LONG_MM: f64 = 500.0;
 const LONG: f64 = 3.0;
 
-/// The sentence on a tool that is far longer than the machine moves: its unit or a digit is wrong. Where lengths alone are measured no
-/// residual tells it, and errors far from the axes are wrong.
-pub(crate) fn long_tool(settings: &Settings) -> Option<String> {
+/// The sentence on a tool of a length below zero, or that is far longer than the machine moves: its sign, its unit or a digit is wrong.
+/// Where lengths alone are measured no residual tells it, and errors far from the axes are wrong.
+pub(crate) fn doubtful_tool(settings: &Settings) -> Option<String> {
+    let length = settings.tool_length_mm;
+    if length < 0.0 {
+        return Some(format!(
+            "`tool_length_mm` is {length}: a tool reaches from the end of the chain to -z by its length; is its sign right?"
+        ));
+    }
     let travels = settings.axes.values().filter_map(|axis| axis.range_mm).map(|[from, to]| to - from);
     let longest = travels.reduce(f64::max)?;
-    let length = settings.tool_length_mm;
-    (length.abs() > LONG_MM.max(LONG * longest)).then(|| {
+    (length > LONG_MM.max(LONG * longest)).then(|| {
         format!(
             "`tool_length_mm` is {length}, {:.0} times the longest travel of a linear axis ({longest} mm): is it in millimetres?",
-            length.abs() / longest
+            length / longest
         )
     })
 }

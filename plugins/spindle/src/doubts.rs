@@ -2,7 +2,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use abbe_numerics::Ends;
+use abbe_numerics::{Ends, resolution};
 
 use crate::run::{Run, Step};
 
@@ -36,6 +36,30 @@ fn silent(sensor: Sensor, range: f64, uncertainty: f64) -> Option<String> {
     };
     (range < of_noise * uncertainty)
         .then(|| format!("moves by {:.3} um, {words} of {:.3} um does", range * 1e3, uncertainty * 1e3))
+}
+
+/// Fewest readings whose digits tell, and how many times what is stated the standard uncertainty of their rounding alone has to be.
+const READINGS: usize = 100;
+const COARSE: f64 = 2.0;
+
+/// Tells of a sensor whose last digit is far coarser than the standard uncertainty of a reading that is stated, mm. `place` is where its
+/// readings stand in a step.
+pub fn tell_coarse(run: &Run, (place, name): (usize, &str), uncertainty: f64) {
+    let readings: Vec<f64> = run.steps.iter().map(|(_, step)| step.readings[place]).collect();
+    if let Some(step) = coarse(&readings, uncertainty) {
+        tracing::warn!(
+            "run `{}`: {name} reads in steps of {:.3} um, and {:.3} um are stated as the uncertainty of a reading: are digits missing?",
+            run.label,
+            step * 1e3,
+            uncertainty * 1e3
+        );
+    }
+}
+
+/// The step of readings, mm, where it is too coarse: what is rounded to steps of q has the standard uncertainty q / sqrt(12) (GUM F.2.2.1).
+fn coarse(readings: &[f64], uncertainty: f64) -> Option<f64> {
+    let step = resolution(readings).filter(|_| readings.len() >= READINGS)?;
+    (step / 12_f64.sqrt() > COARSE * uncertainty).then_some(step)
 }
 
 /// Fewest turns of a part of a run, and its angle and size that tell.
@@ -215,6 +239,22 @@ mod tests {
             let zeroed: Vec<(String, Vec<f64>)> = (0..3).map(|place| (place.to_string(), gaps(&mut random))).collect();
             assert!((0..3).all(|place| !is_turned(&zeroed, place)), "{seed}: {zeroed:?}");
         }
+    }
+
+    #[test]
+    fn coarse_digits_are_told() {
+        for seed in 0..1000 {
+            let mut random = Generator::new(seed, 5);
+            let (digit, size) = ([1e-6, 2e-5, 5e-5, 1e-3][random.index(4)], 1e-2 * (1.0 + random.uniform().abs()));
+            let reading = |number: usize| size * (0.07 * number as f64).sin() + 6e-6 * random.normal();
+            let exact: Vec<f64> = (0..300).map(reading).collect();
+            let rounded: Vec<f64> = exact.iter().map(|reading| (reading / digit).round() * digit).collect();
+            assert_eq!(coarse(&exact, 6e-6), None, "{seed}");
+            let is_coarse = coarse(&rounded, 6e-6).is_some_and(|step| (step / digit - 1.0).abs() < 1e-9);
+            assert_eq!(is_coarse, digit >= 5e-5, "{seed}: {digit}");
+            assert_eq!(coarse(&rounded[..50], 6e-6), None);
+        }
+        assert_eq!(coarse(&[0.0; 300], 6e-6), None);
     }
 
     #[test]

@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::doubts::{Sensor, tell_copied, tell_silent, tell_turned, tell_unlike};
+use crate::doubts::{Sensor, tell_coarse, tell_copied, tell_silent, tell_turned, tell_unlike};
 use crate::encoder::Encoder;
 use crate::evaluated::{Evaluated, Fits, evaluate};
 use crate::harmonics::Basis;
@@ -254,13 +254,14 @@ impl Motion {
         Ok(all)
     }
 
-    /// Tells of sensors without a signal, and of an encoder that slips a little in every turn.
+    /// Tells of sensors without a signal or without digits, and of an encoder that slips a little in every turn.
     fn tell_doubts(&self, run: &Run, left: &Left) {
         let radial = self.radial.keys().map(|name| (Sensor::Radial, name.as_str()));
         let axial = self.axial.iter().map(|name| (Sensor::Axial, name.as_str()));
-        for (sensor, ends) in radial.chain(axial).zip(&run.ends) {
+        for (place, (sensor, ends)) in radial.chain(axial).zip(&run.ends).enumerate() {
             if let Some(uncertainty) = self.standard_uncertainty_um {
                 tell_silent(run, sensor, ends, uncertainty * 1e-3);
+                tell_coarse(run, (place, sensor.1), uncertainty * 1e-3);
             }
         }
         if let Some(name) = self.radial.keys().next() {

@@ -552,3 +552,20 @@ fn a_fit_without_time_ends_with_its_last_iterate() {
         }
     }
 }
+
+#[test]
+fn steps_that_stand_end_the_iteration() {
+    // A residual that nothing moves, whatever its derivative says: each step is the one before.
+    for size in [1e-3, 1.0, 1e6] {
+        let problem = Given { unknowns: 1, rows: 2, at: |_: &[f64]| (vec![size, 100.0], vec![vec![1.0], vec![0.0]]) };
+        let found = run(&problem, &[0.0], &Options::USUAL);
+        assert!(found.end == End::Standing && found.iterations < 10, "{size}: {:?}", found.iterations);
+    }
+    // What shrinks by less than a hundredth does not end within the limit; what shrinks more may.
+    let found = run(&slow(0.997), &[0.5], &Options::USUAL);
+    assert!(found.end == End::Standing && found.iterations < 10, "{:?} {}", found.end, found.iterations);
+    let found = run(&slow(0.9), &[0.5], &Options { iterations: 1000, ..Options::USUAL });
+    assert_eq!(found.end, End::Converged);
+    let found = run(&slow(0.997), &[0.5], &Options { iterations: 100_000, ..Options::USUAL });
+    assert_eq!(found.end, End::Converged);
+}
