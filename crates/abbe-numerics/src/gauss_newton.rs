@@ -279,7 +279,7 @@ fn minimise_after<P: Descent + ?Sized>(
     (weights, options): (Option<&[f64]>, &Options),
 ) -> Result<Minimum<P::Factor>, P::Error> {
     let mut smallest = f64::INFINITY;
-    let (mut trials, mut standing) = (0, 0);
+    let (mut trials, mut standing) = (0, Standing { before: last, count: 0 });
     for iterations in 1..=options.iterations {
         let Some((step, size)) = step_of(&factor) else {
             return Ok(Minimum { x, end: End::NoProgress, iterations, last_step: f64::NAN, factor });
@@ -313,13 +313,9 @@ fn minimise_after<P: Descent + ?Sized>(
                     return Ok(Minimum { x: lower.x, end, iterations, last_step: size, factor: lower.factor });
                 }
                 let whole = lower.part == 1.0;
-                // A step promises to lower the sum of squares by its own.
-                let is_kept = size > 1.0 && factor.cost() - lower.factor.cost() >= KEPT * size * size;
-                let still = (options.iterations - iterations) as i32;
-                let stands = |ratio: f64| ratio > HARDLY && size * ratio.powi(still) > options.tolerance;
-                standing = if whole && !is_kept && ratio.is_some_and(stands) { standing + 1 } else { 0 };
-                if standing == STANDING {
-                    let end = End::Standing;
+                let gained = factor.cost() - lower.factor.cost();
+                if standing.after((size, whole), gained, (options.iterations - iterations, options.tolerance)) {
+                    let end = if size <= CUT { End::Converged } else { End::Standing };
                     return Ok(Minimum { x: lower.x, end, iterations, last_step: size, factor: lower.factor });
                 }
                 (x, factor) = (lower.x, lower.factor);
@@ -343,12 +339,31 @@ fn minimise_after<P: Descent + ?Sized>(
     Ok(Minimum { x, end, iterations: options.iterations, last_step: next, factor })
 }
 
-/// So many whole steps, one after the other, that shrink by less than a hundredth each lead nowhere: rounding, or what the rows hardly tell,
-/// makes each of them anew. Steps of more than a standard uncertainty may yet find a way: not those that lower the sum of squares by less
-/// than this part of what they promise.
+/// So many steps, one after the other, that shrink by less than a hundredth each lead nowhere: rounding, or what the rows hardly tell, makes
+/// each of them anew, whether it is cut or not.
 const STANDING: usize = 5;
 const HARDLY: f64 = 0.99;
+
+/// Whole steps of more than a standard uncertainty may yet find a way if they lower the sum of squares by this part of what they promise.
 const KEPT: f64 = 0.5;
+
+/// Steps that hardly shrink.
+struct Standing {
+    before: Option<f64>,
+    count: usize,
+}
+
+impl Standing {
+    /// Whether steps stand after one of this size, cut or whole, that lowered the sum of squares by `gained`: they hardly shrink, and
+    /// would not be within the tolerance after the iterations that are left.
+    fn after(&mut self, (size, whole): (f64, bool), gained: f64, (left, tolerance): (usize, f64)) -> bool {
+        let may_lead = size > 1.0 && (!whole || gained >= KEPT * size * size);
+        let ratio = self.before.replace(size).map(|before| size / before).filter(|_| !may_lead);
+        let stands = ratio.is_some_and(|ratio| ratio > HARDLY && size * ratio.powi(left as i32) > tolerance);
+        self.count = if stands { self.count + 1 } else { 0 };
+        self.count == STANDING
+    }
+}
 
 /// What is left after a step of this size if steps go on shrinking by this ratio.
 fn remaining(size: f64, ratio: f64) -> f64 {

@@ -561,11 +561,17 @@ fn steps_that_stand_end_the_iteration() {
         let found = run(&problem, &[0.0], &Options::USUAL);
         assert!(found.end == End::Standing && found.iterations < 10, "{size}: {:?}", found.iterations);
     }
+    // Steps that are cut in half, and lead to the other side again and again: far away they may yet find a way.
+    for (start, end) in [(0.1, End::Standing), (10.0, End::IterationLimit)] {
+        let problem = Given { unknowns: 1, rows: 1, at: |x: &[f64]| (vec![4.0 * x[0]], vec![vec![1.0]]) };
+        let found = run(&problem, &[start], &Options::USUAL);
+        assert_eq!((found.end, found.iterations < 10), (end, end == End::Standing), "{start}");
+    }
     // What shrinks by less than a hundredth does not end within the limit; what shrinks more may.
-    let found = run(&slow(0.997), &[0.5], &Options::USUAL);
+    let found = run(&slow(0.997), &[1e-2], &Options::USUAL);
     assert!(found.end == End::Standing && found.iterations < 10, "{:?} {}", found.end, found.iterations);
     let found = run(&slow(0.9), &[0.5], &Options { iterations: 1000, ..Options::USUAL });
     assert_eq!(found.end, End::Converged);
-    let found = run(&slow(0.997), &[0.5], &Options { iterations: 100_000, ..Options::USUAL });
+    let found = run(&slow(0.997), &[1e-2], &Options { iterations: 100_000, ..Options::USUAL });
     assert_eq!(found.end, End::Converged);
 }
