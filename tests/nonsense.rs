@@ -353,9 +353,11 @@ fn a_run_in_another_unit_is_no_error_of_the_machine() {
 
 /// Lengths alone do not tell how long the tool is, and it moves what is said far from the axes.
 #[test]
-fn a_tool_that_is_far_longer_than_the_travel_is_asked_about() {
-    let words = "times the longest travel of a linear axis";
-    for (length, is_told) in [(8000.0, true), (-8000.0, true), (150.0, false), (450.0, false)] {
+fn a_tool_that_is_far_longer_than_the_travel_or_below_zero_is_asked_about() {
+    let (long, negative) = ("times the longest travel of a linear axis", "is its sign right?");
+    let wanted =
+        [(8000.0, Some(long)), (-8000.0, Some(negative)), (-150.0, Some(negative)), (150.0, None), (450.0, None)];
+    for (length, told) in wanted {
         let mut recipe = Variant::of(&recipes()["cmm-brute-force"]).only(&["fit"]);
         let machine = recipe.0["stages"].as_object_mut().expect("stages").values_mut();
         let machine = machine.into_iter().find(|stage| stage.get("model").is_some()).expect("a machine");
@@ -363,7 +365,9 @@ fn a_tool_that_is_far_longer_than_the_travel_is_asked_about() {
         let folder = temporary();
         let file = recipe.write(folder.path());
         let printed = abbe(folder.path(), &[Path::new("run"), &file, Path::new("--out"), Path::new("out")]);
-        assert_eq!(printed.stderr.contains(words), is_told, "{length}: {}", printed.stderr);
+        for words in [long, negative] {
+            assert_eq!(printed.stderr.contains(words), told == Some(words), "{length}: {}", printed.stderr);
+        }
     }
 }
 
