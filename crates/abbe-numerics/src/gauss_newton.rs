@@ -344,8 +344,10 @@ fn minimise_after<P: Descent + ?Sized>(
 const STANDING: usize = 5;
 const HARDLY: f64 = 0.99;
 
-/// Whole steps of more than a standard uncertainty may yet find a way if they lower the sum of squares by this part of what they promise.
+/// Steps of more than a standard uncertainty may yet find a way if they lower the sum of squares by this part of what whole ones promise:
+/// whole ones, and those that are cut.
 const KEPT: f64 = 0.5;
+const KEPT_OF_CUT: f64 = 1e-3;
 
 /// Steps that hardly shrink.
 struct Standing {
@@ -357,7 +359,8 @@ impl Standing {
     /// Whether steps stand after one of this size, cut or whole, that lowered the sum of squares by `gained`: they hardly shrink, and
     /// would not be within the tolerance after the iterations that are left.
     fn after(&mut self, (size, whole): (f64, bool), gained: f64, (left, tolerance): (usize, f64)) -> bool {
-        let may_lead = size > 1.0 && (!whole || gained >= KEPT * size * size);
+        let kept = if whole { KEPT } else { KEPT_OF_CUT };
+        let may_lead = size > 1.0 && gained >= kept * size * size;
         let ratio = self.before.replace(size).map(|before| size / before).filter(|_| !may_lead);
         let stands = ratio.is_some_and(|ratio| ratio > HARDLY && size * ratio.powi(left as i32) > tolerance);
         self.count = if stands { self.count + 1 } else { 0 };

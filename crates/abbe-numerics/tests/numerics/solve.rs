@@ -561,11 +561,21 @@ fn steps_that_stand_end_the_iteration() {
         let found = run(&problem, &[0.0], &Options::USUAL);
         assert!(found.end == End::Standing && found.iterations < 10, "{size}: {:?}", found.iterations);
     }
-    // Steps that are cut in half, and lead to the other side again and again: far away they may yet find a way.
-    for (start, end) in [(0.1, End::Standing), (10.0, End::IterationLimit)] {
+    // Steps that are cut in half, and lead to the other side again and again.
+    for start in [0.1, 10.0] {
         let problem = Given { unknowns: 1, rows: 1, at: |x: &[f64]| (vec![4.0 * x[0]], vec![vec![1.0]]) };
         let found = run(&problem, &[start], &Options::USUAL);
-        assert_eq!((found.end, found.iterations < 10), (end, end == End::Standing), "{start}");
+        assert!(found.end == End::Standing && found.iterations < 10, "{start}: {:?}", found.iterations);
+    }
+    // Far away those that are cut may yet find a way, if each of them lowers the sum: a valley that bends.
+    for (bend, end) in [(1.0 / 1024.0, End::Converged), (64.0, End::Standing)] {
+        let at = |x: &[f64]| {
+            let along = vec![300.0 - x[0], 30.0 * (x[1] - bend * x[0] * x[0])];
+            (along, vec![vec![-1.0, 0.0], vec![-60.0 * bend * x[0], 30.0]])
+        };
+        let found = run(&Given { unknowns: 2, rows: 2, at }, &[-300.0, bend * 9e4], &Options::USUAL);
+        assert_eq!(found.end, end, "{bend}: {}", found.iterations);
+        assert!(found.end == End::Converged || found.iterations < 12, "{bend}: {}", found.iterations);
     }
     // What shrinks by less than a hundredth does not end within the limit; what shrinks more may.
     let found = run(&slow(0.997), &[1e-2], &Options::USUAL);
