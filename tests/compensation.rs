@@ -539,8 +539,14 @@ fn the_command_corrects_files() {
         figures["tip_rms_um"]["after"].as_f64().expect("a number")
     };
     assert!(left("1,1,1") < left("1,100,1"), "{} {}", left("1,1,1"), left("1,100,1"));
-    refused(&["--largest-tip-correction-mm", "0"], 2, "largest_tip_correction_mm");
-    refused(&["--largest-tip-correction-mm", "-1"], 2, "largest_tip_correction_mm");
+    for number in ["0", "-1", "nan", "inf", "1e308"] {
+        refused(&["--largest-tip-correction-mm", number], 2, "a number of mm above 0, at most 1000000, was expected");
+        refused(
+            &["--largest-axis-correction-mrad", number],
+            2,
+            "a number of mrad above 0, at most 10000, was expected",
+        );
+    }
     refused(&["--out", "nowhere/new.csv"], 1, "its folder does not exist");
     refused(&["--max-age-days", "30"], 1, "how old the calibration is");
     assert_eq!(read(&at("corrected.csv")), ours);

@@ -306,6 +306,8 @@ fn a_check_of_forty_weeks_is_an_alarm() {
         (["--from", &temperature, "--follows", "nothing=T01@20"], "nothing"),
         (["--from", &at("absent.csv"), "--follows", "EYY[1]=T01@20"], "absent.csv"),
         (["--volumetric", "0", "--limit", "EXX[b]=1um"], "at least one point"),
+        (["--risk", "nan", "--forecast", "line"], "a probability above 0 and below 0.5"),
+        (["--risk", "0.5", "--forecast", "line"], "a probability above 0 and below 0.5"),
     ] {
         let refused = asked(&[&check[..], &wrong].concat());
         assert!([1, 2].contains(&refused.status) && refused.stderr.contains(told), "{wrong:?}: {}", refused.stderr);

@@ -132,15 +132,23 @@ fn read(file: &Path) -> Result<Calibration> {
     Calibration::from_json(&text).map_err(|error| error.in_file(file))
 }
 
-/// A length above 0.
+/// A length above 0, at most that of a setting in mm.
 pub fn positive_mm(text: &str) -> std::result::Result<f64, String> {
-    let length = text.parse::<f64>().ok().filter(|length| *length > 0.0 && length.is_finite());
-    length.ok_or_else(|| "a number of mm above 0 was expected".to_owned())
+    above_zero(text, "mm", 1e6)
+}
+
+/// An angle above 0, at most that of a setting in mrad.
+pub fn positive_mrad(text: &str) -> std::result::Result<f64, String> {
+    above_zero(text, "mrad", 1e4)
 }
 
 fn days(text: &str) -> std::result::Result<f64, String> {
-    let days = text.parse::<f64>().ok().filter(|days| *days > 0.0 && days.is_finite());
-    days.ok_or_else(|| "a number of days above 0 was expected".to_owned())
+    above_zero(text, "days", 1e6)
+}
+
+fn above_zero(text: &str, unit: &str, most: f64) -> std::result::Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|number| *number > 0.0 && *number <= most);
+    number.ok_or_else(|| format!("a number of {unit} above 0, at most {most}, was expected"))
 }
 
 /// Refuses a calibration that was changed after its run; says so where the record of the run is there and cannot tell.

@@ -7,7 +7,7 @@ use abbe_core::{Axis, AxisKind, Error, KinematicModel, Registry, Result};
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 
-use crate::calibrated::{Asked, Known, counted};
+use crate::calibrated::{Asked, Known, counted, positive_mm, positive_mrad};
 use crate::nc_program::{self, ProgramOptions};
 use crate::outputs::{Written, are_different, is_free};
 use crate::table;
@@ -45,13 +45,13 @@ pub struct Compensate {
     #[arg(long, value_name = "X,Y,Z", value_parser = three, allow_hyphen_values = true)]
     weights: Option<[f64; 3]>,
     /// Largest correction of the tip, mm.
-    #[arg(long, value_name = "MM", default_value_t = 1.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "MM", default_value_t = 1.0, value_parser = positive_mm, allow_negative_numbers = true)]
     largest_tip_correction_mm: f64,
     /// Largest correction of the tool axis, mrad.
-    #[arg(long, value_name = "MRAD", default_value_t = 1.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "MRAD", default_value_t = 1.0, value_parser = positive_mrad, allow_negative_numbers = true)]
     largest_axis_correction_mrad: f64,
     /// Largest correction of the command of a rotary axis, mrad.
-    #[arg(long, value_name = "MRAD", default_value_t = 50.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "MRAD", default_value_t = 50.0, value_parser = positive_mrad, allow_negative_numbers = true)]
     largest_rotary_correction_mrad: f64,
     /// Print the figures as JSON.
     #[arg(long)]

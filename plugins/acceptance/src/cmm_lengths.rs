@@ -32,6 +32,7 @@ abbe_core::register!(
 struct Lengths {
     /// Distance of the stylus tip from the ram: E0, E150.
     #[serde(default)]
+    #[schemars(range(min = 0, max = 10000))]
     stylus_beside_mm: f64,
     /// Maximum permissible error of a length.
     mpe: Mpe,

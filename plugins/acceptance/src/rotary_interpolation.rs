@@ -40,6 +40,7 @@ struct Rotary {
     direction: Option<[f64; 3]>,
     /// The nominal centre of the ball at angle 0 less a point of the axis, machine frame.
     #[serde(default)]
+    #[schemars(inner(range(min = -100000, max = 100000)))]
     ball_from_axis_mm: Option<[f64; 3]>,
     /// The axis turns against ISO 841, or carries the tool, so that the linear axes follow the ball by its angle and not against it.
     #[serde(default)]

@@ -62,12 +62,16 @@ struct Settings {
 #[serde(deny_unknown_fields, default)]
 struct Healthy {
     /// One reading by itself: probing, resolution.
+    #[schemars(range(min = 0, max = 10000))]
     point_um: f64,
     /// Position of the artefact, in each direction.
+    #[schemars(range(min = 0, max = 10000))]
     shift_um: f64,
     /// Orientation of the artefact, about each direction.
+    #[schemars(range(min = 0, max = 10000))]
     turn_urad: f64,
     /// Expansion of the artefact relative to that of the scales.
+    #[schemars(range(min = 0, max = 1000))]
     expansion_um_per_m: f64,
     /// Parameters of the machine that vary, with the temperature of the head for example.
     parameters: Vec<Varying>,

@@ -45,7 +45,7 @@ pub struct Question {
     #[arg(long, value_name = "PARAMETER=LIMIT")]
     pub limit: Vec<String>,
     /// Accepted probability that a limit is exceeded.
-    #[arg(long, default_value_t = 0.05)]
+    #[arg(long, default_value_t = 0.05, value_parser = risk, allow_negative_numbers = true)]
     pub risk: f64,
     /// How limits are forecast: a straight line through the last 12 tests, or a random walk with a trend.
     #[arg(long, value_enum, default_value_t)]
@@ -263,13 +263,15 @@ impl Question {
         let series = series.ok_or_else(|| Error::usage(format!("`{name}` is not among what the tests estimate")))?;
         let factor = unit_factor(unit.trim(), &series.unit)
             .ok_or_else(|| Error::usage(format!("`{}` is no unit of `{name}`", unit.trim())))?;
-        if !(self.risk > 0.0 && self.risk < 0.5) {
-            return Err(Error::usage("a risk between 0 and 0.5 was expected"));
-        }
         let limit: f64 = number.parse().map_err(|_| wrong())?;
         let rule = AgainRule { limit: limit * factor, risk: self.risk, tests: 12, forecast: self.forecast.into() };
         Ok((name.to_owned(), rule))
     }
+}
+
+fn risk(text: &str) -> std::result::Result<f64, String> {
+    let risk = text.parse::<f64>().ok().filter(|risk| *risk > 0.0 && *risk < 0.5);
+    risk.ok_or_else(|| "a probability above 0 and below 0.5 was expected".to_owned())
 }
 
 impl From<ForecastAsked> for Forecast {
