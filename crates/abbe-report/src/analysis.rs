@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{AxisKind, Calibration, KinematicModel, Result, Status, StatusRole};
-use abbe_volumetric::{Cause, Causes, Known, causes, standing};
+use abbe_volumetric::{Cause, Causes, Known, causes, standing, without};
 
 use crate::number::{short, with_uncertainty};
 use crate::run::{FitResult, Run};
@@ -97,10 +97,8 @@ pub fn same_machine(one: &FitResult, other: &FitResult) -> bool {
 const NEGATIVE: &str = ", approached in negative direction";
 
 impl Analysis {
-    /// The analysis; none for an estimate without axes or without errors of axes.
-    ///
-    /// Fails where the model fails in the measured travel.
-    pub fn of(fit: &FitResult) -> Result<Option<Self>> {
+    /// The analysis for [`FitResult::analysis`].
+    pub(crate) fn of(fit: &FitResult) -> Result<Option<Self>> {
         let (model, calibration) = (fit.model.as_ref(), &fit.calibration);
         let info = model.info();
         let mut groups = groups(info);
@@ -133,10 +131,7 @@ impl Analysis {
         let three: Vec<usize> = named.iter().take(3).flat_map(|cause| cause.parameters.clone()).collect();
         let three = if named.len() > 3 { three } else { Vec::new() };
         let without_three = match three.is_empty() {
-            false => causes(model, calibration, &statuses, std::slice::from_ref(&three))?
-                .causes
-                .first()
-                .map(|part| part.without),
+            false => Some(without(model, calibration, &statuses, &three)?),
             true => None,
         };
         let width = info.status.len().max(1);

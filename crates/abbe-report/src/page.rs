@@ -207,12 +207,7 @@ mod tests {
         Run {
             name: "warm".to_owned(),
             title: "A spindle & its \"growth\"".to_owned(),
-            fits: vec![FitResult {
-                name: "spindle".to_owned(),
-                calibration,
-                model,
-                residuals: crate::Residuals::default(),
-            }],
+            fits: vec![FitResult::new("spindle", calibration, model, crate::Residuals::default())],
             verdicts: vec![Verdict::new("judge", "growth", findings)],
             trends: Vec::new(),
             acceptance: Vec::new(),

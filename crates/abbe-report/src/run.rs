@@ -1,7 +1,7 @@
 //! The results of a run, from memory or from its folder.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use abbe_core::{
     Calibration, Error, EstimateSource, ExportedFile, Kind, KinematicModel, Quantities, Registry, Result, Verdict,
@@ -11,6 +11,7 @@ use abbe_files::{LARGEST_RESULT, LARGEST_TEXT, read_text};
 use abbe_trend::{Analysis, Quality};
 use sha2::{Digest, Sha256};
 
+use crate::analysis::Analysis as VolumetricAnalysis;
 use crate::residuals::Residuals;
 use crate::sections::AcceptanceTable;
 
@@ -24,6 +25,23 @@ pub struct FitResult {
     pub model: Arc<dyn KinematicModel>,
     /// Its residuals; none if they are not known.
     pub residuals: Residuals,
+    analysis: OnceLock<Result<Option<VolumetricAnalysis>>>,
+}
+
+impl FitResult {
+    /// An estimate with its residuals; without any where they are not known.
+    pub fn new(name: &str, calibration: Calibration, model: Arc<dyn KinematicModel>, residuals: Residuals) -> Self {
+        Self { name: name.to_owned(), calibration, model, residuals, analysis: OnceLock::new() }
+    }
+
+    /// Its volumetric error and the causes; none for an estimate without axes or without errors of axes. Sections ask for it again, it is
+    /// computed once.
+    ///
+    /// Fails where the model fails in the measured travel.
+    pub fn analysis(&self) -> Result<Option<&VolumetricAnalysis>> {
+        let found = self.analysis.get_or_init(|| VolumetricAnalysis::of(self));
+        found.as_ref().map(Option::as_ref).map_err(Clone::clone)
+    }
 }
 
 /// Files by their names in the folder of a run.
@@ -66,7 +84,7 @@ impl Run {
                 tables.push((residuals_file(&fit.name), table.into_bytes()));
             }
             let (calibration, model) = (fit.calibration.clone(), fit.problem.model.clone());
-            fits.push(FitResult { name: fit.name.clone(), calibration, model, residuals });
+            fits.push(FitResult::new(&fit.name, calibration, model, residuals));
         }
         let record = outcome.record();
         let run = Self {
@@ -263,7 +281,8 @@ fn modelled(calibration: Calibration, registry: &Registry) -> Result<FitResult> 
         true => Arc::new(Quantities::of(&calibration)?),
         false => model_of(&calibration, registry)?,
     };
-    Ok(FitResult { name: calibration.estimate.clone(), calibration, model, residuals: Residuals::default() })
+    let name = calibration.estimate.clone();
+    Ok(FitResult::new(&name, calibration, model, Residuals::default()))
 }
 
 /// The recipe of a run, if its file is there and as it was.

@@ -1,9 +1,12 @@
 //! Which errors make the volumetric error: what it would be without each of them.
 
 use abbe_core::{Calibration, KinematicModel, ParameterRole, Poses, Result, Variable, machine_values};
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 
 use crate::predict::machine_covariance;
+
+/// Poses whose uncertainties are computed together.
+const CHUNK: usize = 64;
 
 /// A figure with its standard uncertainty, in the unit of the figure.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -64,10 +67,7 @@ pub fn causes(
 ) -> Result<Causes> {
     let info = model.info();
     let counts = |index: usize| is_machine_error(info.parameters[index].role);
-    let mut values = machine_values(model, calibration);
-    for (index, value) in values.iter_mut().enumerate().filter(|(index, _)| !counts(*index)) {
-        *value = info.nominal[index];
-    }
+    let values = machine_errors(model, calibration);
     let (mut wanted, mut covariance) = machine_covariance(model, calibration);
     let parameter = |variable: &Variable| match variable {
         Variable::Parameter(index) => *index,
@@ -82,17 +82,15 @@ pub fn causes(
     model.poses(statuses, &info.nominal, &[], false, &mut nominal)?;
     model.poses(statuses, &values, &wanted, false, &mut actual)?;
     let errors = differences(&actual, &nominal);
+    let derivatives = || actual.position_derivatives.chunks_exact(wanted.len().max(1));
     let slopes = |errors: &[[f64; 3]], fixed: &[usize]| {
         let size = (rms(errors) * errors.len() as f64).max(f64::MIN_POSITIVE);
-        DVector::from_fn(wanted.len(), |column, _| {
-            if fixed.contains(&parameter(&wanted[column])) {
-                return 0.0;
-            }
-            let along = |(pose, error): (usize, &[f64; 3])| {
-                dot(error, &actual.position_derivatives[pose * wanted.len() + column])
-            };
-            errors.iter().enumerate().map(along).sum::<f64>() / size
-        })
+        let mut sums = vec![0.0; wanted.len()];
+        for (error, by) in errors.iter().zip(derivatives()) {
+            sums.iter_mut().zip(by).for_each(|(sum, by)| *sum += dot(error, by));
+        }
+        let is_fixed = |column: usize| fixed.contains(&parameter(&wanted[column]));
+        DVector::from_fn(wanted.len(), |column, _| if is_fixed(column) { 0.0 } else { sums[column] / size })
     };
     let uncertainty = |slopes: &DVector<f64>| (&covariance * slopes).dot(slopes).max(0.0).sqrt();
     let total = rms(&errors);
@@ -111,12 +109,14 @@ pub fn causes(
     }
     let sizes = errors.iter().map(|error| dot(error, error).sqrt());
     let (at, largest) = sizes.enumerate().fold((0, 0.0), |most, one| if one.1 > most.1 { one } else { most });
-    let variance = |pose: usize, part: usize| {
-        let row =
-            DVector::from_fn(wanted.len(), |column, _| actual.position_derivatives[pose * wanted.len() + column][part]);
-        (&covariance * &row).dot(&row).max(0.0)
+    let variances = |poses: &[[f64; 3]]| -> f64 {
+        let of_coordinates = 3 * poses.len() / wanted.len().max(1);
+        let by = |column: usize, coordinate: usize| poses[coordinate / 3 * wanted.len() + column][coordinate % 3];
+        let by = DMatrix::from_fn(wanted.len(), of_coordinates, by);
+        let both = &covariance * &by;
+        both.column_iter().zip(by.column_iter()).map(|(one, other)| one.dot(&other).max(0.0)).sum()
     };
-    let variances: f64 = (0..errors.len()).map(|pose| (0..3).map(|part| variance(pose, part)).sum::<f64>()).sum();
+    let variances: f64 = actual.position_derivatives.chunks((CHUNK * wanted.len()).max(1)).map(variances).sum();
     let at_largest = errors.get(at).map_or(0.0, |error| {
         let slopes = DVector::from_fn(wanted.len(), |column, _| {
             dot(error, &actual.position_derivatives[at * wanted.len() + column]) / largest.max(f64::MIN_POSITIVE)
@@ -131,6 +131,34 @@ pub fn causes(
         causes: found,
         field: nominal.positions.into_iter().zip(errors).collect(),
     })
+}
+
+/// Root mean square of the error at some poses, mm, if the parameters of a group alone were nominal: [`Cause::without`].
+///
+/// Fails where the model fails.
+pub fn without(
+    model: &dyn KinematicModel,
+    calibration: &Calibration,
+    statuses: &[f64],
+    group: &[usize],
+) -> Result<f64> {
+    let (values, info) = (machine_errors(model, calibration), model.info());
+    let (mut changed, mut nominal) = (Poses::default(), Poses::default());
+    model.poses(statuses, &info.nominal, &[], false, &mut nominal)?;
+    model.poses(
+        statuses,
+        &swapped(&values, &info.nominal, |index| group.contains(&index)),
+        &[],
+        false,
+        &mut changed,
+    )?;
+    Ok(rms(&differences(&changed, &nominal)))
+}
+
+/// The values of the errors of the machine; all others are nominal.
+fn machine_errors(model: &dyn KinematicModel, calibration: &Calibration) -> Vec<f64> {
+    let (values, info) = (machine_values(model, calibration), model.info());
+    swapped(&values, &info.nominal, |index| !is_machine_error(info.parameters[index].role))
 }
 
 /// The values, with nominal ones where `is_nominal`.
@@ -191,6 +219,9 @@ mod tests {
         // Without the first: d(loss) = 3/5 dx + (4/5 - 1) dy.
         close(found.causes[0].loss.uncertainty, travel * (0.36 * 1e-12_f64 + 0.04 * 4e-12).sqrt());
         assert_eq!(found.causes[2].loss, Known { value: 0.0, uncertainty: 0.0 });
+        for (group, cause) in groups.iter().zip(&found.causes) {
+            assert_eq!(without(model.as_ref(), &known, &grid(), group).unwrap(), cause.without);
+        }
     }
 
     /// The uncertainties are those of differences, on errors that interact.

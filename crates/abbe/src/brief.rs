@@ -6,7 +6,7 @@ use std::path::Path;
 
 use abbe_report::number::short;
 use abbe_report::{
-    Analysis, FitResult, Run, decided, judged, judged_remarks, main_fit, micrometres, told_figure, undetermined, used,
+    FitResult, Run, decided, judged, judged_remarks, main_fit, micrometres, told_figure, undetermined, used,
 };
 
 use crate::lines::cut;
@@ -113,7 +113,7 @@ fn said(run: &Run) -> Vec<String> {
 
 /// The volumetric error of an estimate and its largest causes.
 fn volumetric(fit: &FitResult) -> Vec<String> {
-    let Ok(Some(found)) = Analysis::of(fit) else { return Vec::new() };
+    let Ok(Some(found)) = fit.analysis() else { return Vec::new() };
     let mut lines = vec![
         String::new(),
         format!(

@@ -30,8 +30,8 @@ pub fn causes(run: &Run) -> String {
         html.push_str(&paragraph(&format!("{} {}{of}: {value}{uncertainty}{percent}.", verdict.stage, figure.name)));
     }
     let Some(fit) = main_fit(run) else { return if html.ends_with("</h3>\n") { String::new() } else { html } };
-    match Analysis::of(fit) {
-        Ok(Some(found)) => html + &told(&fit.name, &found, &fit.calibration.fit),
+    match fit.analysis() {
+        Ok(Some(found)) => html + &told(&fit.name, found, &fit.calibration.fit),
         Ok(None) => {
             html + &paragraph(&format!(
                 "{} has no errors of axes in a known travel, so there is no volumetric error and no share of causes; its values stand \
@@ -144,7 +144,7 @@ fn row(cause: &NamedCause, found: &Analysis) -> Vec<Cell> {
 /// A run in the table of several: name, verdict, estimate, RMS volumetric error, largest, largest cause.
 pub fn compared_cells(run: &Run) -> [String; 6] {
     let (word, _, _) = super::verdict::decided(run);
-    let analysis = main_fit(run).and_then(|fit| Some((fit, Analysis::of(fit).ok().flatten()?)));
+    let analysis = main_fit(run).and_then(|fit| Some((fit, fit.analysis().ok().flatten()?)));
     let [fit, rms, largest, cause] = match &analysis {
         Some((fit, found)) => {
             let cause =

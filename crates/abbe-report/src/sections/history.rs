@@ -3,7 +3,7 @@
 use abbe_core::{Estimated, Status, Unit};
 
 use super::micrometres;
-use crate::analysis::{Analysis, main_fit, same_machine};
+use crate::analysis::{main_fit, same_machine};
 use crate::chart::{Trend, trend};
 use crate::html::{Cell, details, figure, paragraph, table};
 use crate::number::with_uncertainty;
@@ -123,7 +123,7 @@ fn courses<'a>(mains: &[Option<&'a FitResult>]) -> Vec<Course<'a>> {
 
 /// The volumetric error of every run in the travel of the first, where the machines have the same axes.
 fn in_one_travel(runs: &[Run], mains: &[Option<&FitResult>]) -> String {
-    let Some((first, analysis)) = mains[0].and_then(|fit| Some((fit, Analysis::of(fit).ok().flatten()?))) else {
+    let Some((first, analysis)) = mains[0].and_then(|fit| Some((fit, fit.analysis().ok().flatten()?))) else {
         return String::new();
     };
     let mut rows = Vec::new();

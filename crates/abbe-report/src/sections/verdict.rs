@@ -3,7 +3,7 @@
 use abbe_core::{Decision, Figure, Verdict};
 
 use super::{micrometres, unit_of, valued};
-use crate::analysis::{Analysis, main_fit};
+use crate::analysis::main_fit;
 use crate::html::{Cell, details, escape, list, paragraph, table};
 use crate::number::{beside_limit, with_uncertainty};
 use crate::run::Run;
@@ -58,7 +58,7 @@ pub fn is_of_the_fit(verdict: &Verdict) -> bool {
 
 /// What such limits leave open, and how large the errors of the machine are.
 fn of_the_fit(run: &Run) -> String {
-    let found = main_fit(run).and_then(|fit| Analysis::of(fit).ok().flatten());
+    let found = main_fit(run).and_then(|fit| fit.analysis().ok().flatten());
     let open = "The limits, which are kept, judge how well the model explains the readings; none judges the machine.";
     match found {
         None => open.to_owned(),

@@ -41,8 +41,8 @@ impl<'a> Scene<'a> {
         if self.rows.is_empty() {
             return String::new();
         }
-        let analysis = Analysis::of(fit).ok().flatten();
-        let field = analysis.as_ref().map_or(&[][..], |found| found.field.as_slice());
+        let analysis = fit.analysis().ok().flatten();
+        let field = analysis.map_or(&[][..], |found| found.field.as_slice());
         let points: Vec<([f64; 3], f64)> =
             self.rows.iter().map(|row| (row.tip.unwrap_or_default(), row.value)).collect();
         let some = match self.all > self.rows.len() {
@@ -55,7 +55,7 @@ impl<'a> Scene<'a> {
             self.rows.len()
         );
         let title = format!("Places that were measured, {}", fit.name);
-        let viewer = viewer.map(|number| self.viewer(number, fit, analysis.as_ref(), others));
+        let viewer = viewer.map(|number| self.viewer(number, fit, analysis, others));
         let mut html = viewer.unwrap_or_default();
         html.push_str("<div class=\"views\">\n");
         html.push_str(&figure(&views(&title, &points, field), &caption));
