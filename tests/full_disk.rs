@@ -7,6 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use crate::fleet::plant::{Plant, ok, quiet};
 use crate::support::{Small, program, skipped, tree};
 
 /// KiB that are free on the disk; the last ones are enough for everything.
@@ -68,10 +69,19 @@ fn what_does_not_fit_on_a_disk_leaves_what_was_there() {
     assert_eq!(small.abbe(&["test", "before/recipe.yaml", "--junit", "before/test.xml"]).status, 1);
     assert_eq!(small.abbe(&["plugins", "--pages", "before/pages"]).status, 0);
     small.write("recipe.yaml", &small.read("recipe.yaml").replace("step_mm: 100", "step_mm: 50"));
+    let plant = small.path("plant");
+    Plant::of(3).write(&plant);
+    ok(&quiet(&plant, &["fleet", "plan", "fleet.yaml"]));
+    ok(&quiet(&plant, &["fleet", "run", "fleet.manifest.jsonl", "--workers", "2"]));
+    let merge = ["fleet", "merge", "fleet.manifest.jsonl", "--calibrations", "--out"];
+    ok(&quiet(&plant, &[&merge[..], &["../before/tables"]].concat()));
+    // Other tables: a machine fails.
+    Plant::of(2).write(&plant);
+    ok(&quiet(&plant, &["fleet", "plan", "fleet.yaml"]));
     let before = contents(&small.path("before"));
 
     let result = "before/recipe/fine.calibration.json";
-    let commands: [&[&str]; 10] = [
+    let commands: [&[&str]; 12] = [
         &["run", "recipe.yaml", "--out", "disk"],
         &["run", "recipe.yaml", "--out", "disk/new"],
         &["simulate", "recipe.yaml", "--truth", "truth.json", "--seed", "1", "--out", "disk/simulated"],
@@ -81,6 +91,8 @@ fn what_does_not_fit_on_a_disk_leaves_what_was_there() {
         &["report", result, "--out", "disk/table.csv"],
         &["plugins", "--pages", "disk/pages"],
         &["plugins", "--pages", "disk/new"],
+        &["fleet", "merge", "plant/fleet.manifest.jsonl", "--calibrations", "--out", "disk/tables"],
+        &["fleet", "merge", "plant/fleet.manifest.jsonl", "--calibrations", "--out", "disk/new"],
         &["history", "add", "disk/plant.sqlite", "before/recipe", "--date", "2026-01-02"],
     ];
     for arguments in commands {

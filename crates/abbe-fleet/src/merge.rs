@@ -98,9 +98,9 @@ pub fn merge(
     if let Some(keeper) = keeper {
         merged.entries -= keeper.finish()?;
     }
-    own.put_waiting()?;
     tables.finish(&mut own)?;
-    merged.earlier = own.finish()?;
+    own.put_waiting()?;
+    merged.earlier = own.finish();
     folder.keep();
     Ok(merged)
 }

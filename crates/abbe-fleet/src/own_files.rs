@@ -1,12 +1,12 @@
 //! The files of merges in their folder: a merge replaces what an earlier one wrote, as long as nobody has changed it since.
 
 use std::collections::BTreeSet;
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use abbe_core::{Error, Result};
-use abbe_engine::Staging;
+use abbe_engine::{MadeFolders, Staging};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use tempfile::NamedTempFile;
@@ -41,10 +41,11 @@ pub struct OwnFiles {
     fleet: String,
     known: BTreeSet<Written>,
     now: BTreeSet<Written>,
-    record: Option<File>,
     /// Files that wait for the end of the merge, under their names in a folder of their own.
     waiting: Option<Staging>,
     names: Vec<PathBuf>,
+    /// Others that wait, with their places.
+    files: Vec<(NamedTempFile, PathBuf)>,
 }
 
 impl OwnFiles {
@@ -74,19 +75,10 @@ impl OwnFiles {
             fleet: fleet.to_owned(),
             known,
             now: BTreeSet::new(),
-            record: None,
             waiting: None,
             names: Vec::new(),
+            files: Vec::new(),
         })
-    }
-
-    /// The record, to which lines are added. It begins with what is known, each line once: merges that fail do not make it longer.
-    fn record(&mut self) -> io::Result<&mut File> {
-        if self.record.is_none() {
-            self.write_record(&self.known.iter().collect())?;
-            self.record = Some(File::options().append(true).open(self.folder.join(RECORD))?);
-        }
-        self.record.as_mut().ok_or_else(|| io::Error::other("the record is not open"))
     }
 
     /// Writes the record anew, whole or not at all.
@@ -109,26 +101,13 @@ impl OwnFiles {
         if is_own { Ok(()) } else { Err(of_somebody(path)) }
     }
 
-    /// Puts a file at its place in the folder.
+    /// Keeps a file that is written, until [`put_waiting`](Self::put_waiting) puts it at its place.
     ///
     /// # Errors
-    /// As [`OwnFiles::check`]; and if the disk does not take it.
-    pub fn put(&mut self, file: NamedTempFile, path: &Path) -> Result<()> {
-        let temporary = file.path().to_owned();
-        self.put_by(&temporary, path, || file.persist(path).map(drop).map_err(|error| error.error))
-    }
-
-    fn put_by(&mut self, file: &Path, path: &Path, put: impl FnOnce() -> io::Result<()>) -> Result<()> {
+    /// As [`OwnFiles::check`].
+    pub fn keep(&mut self, file: NamedTempFile, path: &Path) -> Result<()> {
         self.check(path)?;
-        let write = |record: &mut Self| -> io::Result<Written> {
-            let own = record.written(path, sha256_of(file)?);
-            // Before it is there: a merge that is killed leaves no file that the next one does not know.
-            record.record()?.write_all((json!(own).to_string() + "\n").as_bytes())?;
-            put()?;
-            Ok(own)
-        };
-        let own = write(self).map_err(|error| unwritable(path, &error))?;
-        self.now.insert(own);
+        self.files.push((file, path.to_owned()));
         Ok(())
     }
 
@@ -153,33 +132,47 @@ impl OwnFiles {
         written.map_err(|error| unwritable(path, &error))
     }
 
-    /// Puts the files that wait at their places.
+    /// Puts the files that wait at their places. What needs room on the disk comes first, so that a full one takes all of them or none.
     ///
     /// # Errors
-    /// As [`OwnFiles::put`].
+    /// As [`OwnFiles::check`]; and if the disk does not take them.
     pub fn put_waiting(&mut self) -> Result<()> {
-        let Some(waiting) = self.waiting.take() else { return Ok(()) };
-        for name in std::mem::take(&mut self.names) {
-            let (file, path) = (waiting.path().join(&name), self.folder.join(&name));
-            let folder = path.parent().unwrap_or(&self.folder).to_owned();
-            self.put_by(&file, &path, || fs::create_dir_all(folder).and_then(|()| fs::rename(&file, &path)))?;
+        let (waiting, files) = (self.waiting.take(), std::mem::take(&mut self.files));
+        let name = |name: &PathBuf| waiting.as_ref().map(|of| (of.path().join(name), self.folder.join(name)));
+        let staged: Vec<(PathBuf, PathBuf)> = self.names.iter().filter_map(name).collect();
+        self.names.clear();
+        let kept = files.iter().map(|(file, path)| (file.path(), path));
+        let mut folders = Vec::new();
+        for (file, path) in staged.iter().map(|(file, path)| (file.as_path(), path)).chain(kept) {
+            self.check(path)?;
+            let sha256 = sha256_of(file).map_err(|error| unwritable(path, &error))?;
+            let folder = MadeFolders::new(path.parent().unwrap_or(&self.folder));
+            folders.push(folder.map_err(|error| unwritable(path, &error))?);
+            self.now.insert(self.written(path, sha256));
+        }
+        // Before they are there: a merge that is killed leaves no file that the next one does not know.
+        let record = self.write_record(&self.known.iter().chain(&self.now).collect());
+        record.map_err(|error| unwritable(&self.folder.join(RECORD), &error))?;
+        folders.iter_mut().for_each(MadeFolders::keep);
+        for (file, path) in &staged {
+            fs::rename(file, path).map_err(|error| unwritable(path, &error))?;
+        }
+        for (file, path) in files {
+            file.persist(&path).map_err(|error| unwritable(&path, &error.error))?;
         }
         Ok(())
     }
 
     /// Writes the record anew: what this merge wrote, and files of earlier ones that are still there. Gives the names of these: they stay,
     /// whether their jobs are gone, were done anew, or this merge was not asked for them.
-    ///
-    /// # Errors
-    /// If the disk does not take it.
-    pub fn finish(self) -> Result<BTreeSet<String>> {
-        let path = self.folder.join(RECORD);
+    pub fn finish(self) -> BTreeSet<String> {
         let names: BTreeSet<&String> = self.now.iter().map(|own| &own.file).collect();
         let is_there = |own: &&Written| !names.contains(&own.file) && self.folder.join(&own.file).exists();
         let earlier: BTreeSet<&Written> = self.known.iter().filter(is_there).collect();
         let all = earlier.iter().copied().chain(&self.now).collect();
-        self.write_record(&all).map_err(|error| unwritable(&path, &error))?;
-        Ok(earlier.into_iter().map(|own| own.file.clone()).collect())
+        // Where the disk is full by now, the one that is there says it with what it was before.
+        let _ = self.write_record(&all);
+        earlier.into_iter().map(|own| own.file.clone()).collect()
     }
 
     fn written(&self, path: &Path, sha256: String) -> Written {
@@ -207,7 +200,8 @@ mod tests {
     fn put(folder: &Path, own: &mut OwnFiles, name: &str, content: &str) -> Result<()> {
         let mut file = abbe_engine::temporary_file(folder).unwrap();
         file.write_all(content.as_bytes()).unwrap();
-        own.put(file, &folder.join(name))
+        own.keep(file, &folder.join(name))?;
+        own.put_waiting()
     }
 
     #[test]
@@ -224,12 +218,12 @@ mod tests {
         drop(own);
         let mut own = OwnFiles::of(at, "A plant").unwrap();
         put(at, &mut own, "a.csv", "3").unwrap();
-        own.finish().unwrap();
+        own.finish();
         let mut own = OwnFiles::of(at, "A plant").unwrap();
         fs::write(at.join("a.csv"), "3, and more").unwrap();
         assert!(put(at, &mut own, "a.csv", "4").is_err());
         put(at, &mut own, "b.csv", "4").unwrap();
-        own.finish().unwrap();
+        own.finish();
         assert_eq!(fs::read_to_string(at.join("mine.csv")).unwrap(), "mine");
         assert_eq!(fs::read_to_string(at.join("a.csv")).unwrap(), "3, and more");
         // Merges that fail do not make the record longer, and another fleet gets none of these files.
@@ -239,7 +233,7 @@ mod tests {
             let mut own = OwnFiles::of(at, "A plant").unwrap();
             put(at, &mut own, "b.csv", "4").unwrap();
         }
-        assert_eq!(record().lines().count(), before.lines().count() + 1, "{}", record());
+        assert_eq!(record(), before);
         let error = OwnFiles::of(at, "Another plant").map(drop).unwrap_err().to_string();
         assert!(error.contains("those of `A plant`, not of `Another plant`"), "{error}");
         // A record of somebody else is none.
@@ -268,7 +262,7 @@ mod tests {
             let mut own = OwnFiles::of(at, "A plant").unwrap();
             all.iter().for_each(|name| own.keep_ready(name.as_bytes(), &inner.join(name)).unwrap());
             own.put_waiting().unwrap();
-            own.finish().unwrap().into_iter().collect::<Vec<_>>()
+            own.finish().into_iter().collect::<Vec<_>>()
         };
         assert_eq!(merge(&["one", "two"]), Vec::<String>::new());
         assert_eq!(merge(&["one"]), ["calibrations/two"]);

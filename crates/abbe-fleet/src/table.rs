@@ -92,7 +92,7 @@ impl Table {
         own.check(&self.path)
     }
 
-    /// Puts the table at its place.
+    /// Writes the rest of the table, which waits with the others of the merge for its place.
     ///
     /// # Errors
     /// If the disk does not take it, or a file of somebody is there.
@@ -104,7 +104,7 @@ impl Table {
             file.flush()?;
             Ok(file)
         })();
-        own.put(written.map_err(|error: io::Error| unwritable(&path, &error))?, &path)?;
+        own.keep(written.map_err(|error: io::Error| unwritable(&path, &error))?, &path)?;
         #[cfg(feature = "parquet")]
         self.columnar.finish(own)?;
         Ok(())

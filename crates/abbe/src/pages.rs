@@ -12,13 +12,13 @@ pub fn write(registry: &Registry, folder: &Path) -> Result<String> {
     let mut pages: Vec<(String, String)> = registry.iter().map(of_plugin).collect();
     pages.push(("README.md".to_owned(), abbe_recipe::index(registry.iter())));
     let wrong = |file: &Path, error: io::Error| {
-        let why = match error.kind() {
+        let (place, why) = match error.kind() {
             io::ErrorKind::NotADirectory | io::ErrorKind::AlreadyExists => {
-                "it is there already, and is no folder".to_owned()
+                (folder, "it is there already, and is no folder".to_owned())
             }
-            _ => abbe_files::why(&error),
+            _ => (file, abbe_files::why(&error)),
         };
-        Error::usage(format!("{}: {why}", file.display())).help("name another folder")
+        Error::usage(format!("{}: {why}", place.display())).help("name another folder")
     };
     refuse_temporary_place(folder)?;
     for (name, _) in &pages {

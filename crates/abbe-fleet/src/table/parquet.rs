@@ -86,7 +86,7 @@ impl Columnar {
             self.write()?;
         }
         let file = self.writer.into_inner().map_err(|why| failed(&self.path, &why))?;
-        own.put(file, &self.path)
+        own.keep(file, &self.path)
     }
 }
 
