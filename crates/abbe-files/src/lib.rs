@@ -20,11 +20,13 @@ pub const LARGEST_RESULT: u64 = 512 << 20;
 /// Opens a regular file, or one that a link leads to.
 ///
 /// # Errors
-/// As [`File::open`]; and [`io::ErrorKind::InvalidInput`] for a folder, a named pipe, a socket or a device, which are not opened.
+/// As [`File::open`]; and [`io::ErrorKind::InvalidInput`] for a folder, a named pipe, a socket, a device or what Linux shows of itself as
+/// files, which are not opened.
 pub fn open(path: &Path) -> io::Result<File> {
     let opened = || {
         // Opening a named pipe waits for somebody who writes: it is looked at first.
         regular(&fs::metadata(path)?)?;
+        not_of_the_system(path)?;
         let file = File::open(path)?;
         regular(&file.metadata()?)?;
         Ok(file)
@@ -158,6 +160,15 @@ fn regular(found: &Metadata) -> io::Result<()> {
     }
 }
 
+/// Refuses what Linux shows of itself below `/proc` and `/sys`: these count as regular files, and some wait for news for ever.
+fn not_of_the_system(path: &Path) -> io::Result<()> {
+    let is_of_it = |path: PathBuf| ["/proc", "/sys"].iter().any(|folder| path.starts_with(folder));
+    match cfg!(target_os = "linux") && fs::canonicalize(path).is_ok_and(is_of_it) {
+        true => Err(io::Error::new(io::ErrorKind::InvalidInput, "it is a part of the system; a file was expected")),
+        false => Ok(()),
+    }
+}
+
 /// What something is that is no file, with its article.
 fn kind(found: &Metadata) -> &'static str {
     #[cfg(unix)]
@@ -278,6 +289,11 @@ mod tests {
         let _listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
         assert_eq!(refused(&socket), "it is a socket; a file was expected");
         assert_eq!(refused(Path::new("/dev/zero")), "it is a device; a file was expected");
+        #[cfg(target_os = "linux")]
+        for of_the_system in ["/proc/kmsg", "/proc/self/status", "/sys/kernel/notes"] {
+            let path = Path::new(of_the_system);
+            assert!(!path.exists() || refused(path) == "it is a part of the system; a file was expected");
+        }
         // A link is what it leads to.
         let link = folder.path().join("link");
         std::os::unix::fs::symlink("/dev/zero", &link).unwrap();
