@@ -97,14 +97,24 @@ fn partial_files(out: &std::path::Path) -> usize {
 /// What was started in the background or by `nohup` ignores signals, and hands this on; `env` undoes it.
 const DEFAULT_SIGNALS: &str = "--default-signal=INT,TERM,HUP";
 
+/// Whether signals can be made heard again; told as skipped where they cannot.
+#[cfg(unix)]
+fn signals_are_heard() -> bool {
+    let env = std::process::Command::new("env").args([DEFAULT_SIGNALS, "true"]).stderr(Stdio::null()).status();
+    let are_heard = env.is_ok_and(|status| status.success());
+    if !are_heard {
+        crate::support::skipped("interrupted", "`env --default-signal` of GNU coreutils is not there");
+    }
+    are_heard
+}
+
 /// Ctrl-C, an order to end, or a closed terminal while a long Monte Carlo calculation runs: an end within a second, a status that
 /// says which, and no trace of results.
 #[cfg(unix)]
 #[test]
 fn an_interrupted_run_ends_at_once_and_says_so() {
-    let env = std::process::Command::new("env").args([DEFAULT_SIGNALS, "true"]).stderr(Stdio::null()).status();
-    if !env.is_ok_and(|status| status.success()) {
-        return crate::support::skipped("interrupted", "`env --default-signal` of GNU coreutils is not there");
+    if !signals_are_heard() {
+        return;
     }
     for (signal, status) in [("-INT", 130), ("-TERM", 143), ("-HUP", 129)] {
         interrupted_by(signal, status);
@@ -195,9 +205,8 @@ fn commands_that_show_something_say_that_they_are_interrupted() {
     use std::io::Read;
     use std::time::{Duration, Instant};
 
-    let env = std::process::Command::new("env").args([DEFAULT_SIGNALS, "true"]).stderr(Stdio::null()).status();
-    if !env.is_ok_and(|status| status.success()) {
-        return crate::support::skipped("interrupted", "`env --default-signal` of GNU coreutils is not there");
+    if !signals_are_heard() {
+        return;
     }
     let small = Small::new();
     for (arguments, signal, expected) in [
@@ -248,9 +257,8 @@ fn commands_that_show_something_say_that_they_are_interrupted() {
 fn temporary_folders_go_with_a_signal() {
     use std::os::unix::fs::PermissionsExt;
 
-    let env = std::process::Command::new("env").args([DEFAULT_SIGNALS, "true"]).stderr(Stdio::null()).status();
-    if !env.is_ok_and(|status| status.success()) {
-        return crate::support::skipped("interrupted", "`env --default-signal` of GNU coreutils is not there");
+    if !signals_are_heard() {
+        return;
     }
     let small = Small::new();
     assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "known"]).status, 0);
@@ -292,9 +300,8 @@ fn temporary_folders_go_with_a_signal() {
 #[cfg(unix)]
 #[test]
 fn a_run_in_batches_ends_between_batches() {
-    let env = std::process::Command::new("env").args([DEFAULT_SIGNALS, "true"]).stderr(Stdio::null()).status();
-    if !env.is_ok_and(|status| status.success()) {
-        return crate::support::skipped("interrupted", "`env --default-signal` of GNU coreutils is not there");
+    if !signals_are_heard() {
+        return;
     }
     let small = Small::new();
     let touches = small.read("data/touches.csv");
@@ -356,9 +363,8 @@ fn in_batches_by(small: &Small, signal: &str, expected: i32, stage: &str) {
 fn pages_are_all_there_or_none_is_after_a_signal() {
     use std::time::{Duration, Instant};
 
-    let env = std::process::Command::new("env").args([DEFAULT_SIGNALS, "true"]).stderr(Stdio::null()).status();
-    if !env.is_ok_and(|status| status.success()) {
-        return crate::support::skipped("interrupted", "`env --default-signal` of GNU coreutils is not there");
+    if !signals_are_heard() {
+        return;
     }
     let folder = crate::support::temporary();
     let pages = |name: &str| {
@@ -401,6 +407,9 @@ fn pages_are_all_there_or_none_is_after_a_signal() {
 #[test]
 #[cfg(unix)]
 fn a_program_that_is_interrupted_leaves_nothing() {
+    if !signals_are_heard() {
+        return;
+    }
     let folder = crate::support::temporary();
     let calibration = crate::support::root().join("benches/calibrations/table-table.calibration.json");
     let mut text = "G21 G90 G17 G94 G54\nG0 X-90 Y-90 Z10 A-20 C-30\nG1 F1000\n".to_owned();
@@ -411,8 +420,14 @@ fn a_program_that_is_interrupted_leaves_nothing() {
         fs::create_dir(&out).expect("a folder");
         let arguments = ["long.ngc", "--dialect", "linuxcnc", "--correct", "five-axes", "--out", "out/corrected.ngc"];
         let calibration = calibration.to_string_lossy();
-        let mut command = program(folder.path(), &[&["compensate", &*calibration][..], &arguments].concat());
-        let mut run = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts");
+        let mut run = std::process::Command::new("env")
+            .args([DEFAULT_SIGNALS, env!("CARGO_BIN_EXE_abbe-under-test"), "compensate", &*calibration])
+            .args(arguments)
+            .current_dir(folder.path())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("the program starts");
         assert!(has_begun(&mut run, &out), "{signal}: it has ended before");
         let sent = std::process::Command::new("kill").args([signal, &run.id().to_string()]).status();
         assert!(sent.expect("kill is there").success());
