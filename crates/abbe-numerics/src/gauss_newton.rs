@@ -347,7 +347,7 @@ const HARDLY: f64 = 0.99;
 /// Steps of more than a standard uncertainty may yet find a way if they lower the sum of squares by this part of what whole ones promise:
 /// whole ones, and those that are cut.
 const KEPT: f64 = 0.5;
-const KEPT_OF_CUT: f64 = 1e-3;
+const KEPT_OF_CUT: f64 = 1e-4;
 
 /// Steps that hardly shrink.
 struct Standing {
