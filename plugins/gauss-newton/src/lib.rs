@@ -412,10 +412,11 @@ impl Estimate for GaussNewton {
             // What these rows determine may well be less than all.
             return Ok(problem.values_of(&self.estimate_all(problem, false)?));
         }
-        let options = self.options(self.settings.tolerance, true);
         if let Some(rows) = self.eliminating(problem, &RowsAtHand(problem))? {
-            return Ok(rows.solve(&problem.start(), &options)?.x);
+            return Ok(rows.solve(&problem.start(), &self.options(1e-6, true))?.x);
         }
+        // Near the solution: what is left after this step is its square.
+        let options = self.options(TRIAL_TOLERANCE, true);
         Ok(self.iterate(&self.weighted(problem)?, &problem.start(), None, &options)?.x)
     }
 

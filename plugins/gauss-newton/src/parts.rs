@@ -239,7 +239,7 @@ impl GaussNewton {
             return Ok(problem.values_of(&self.of_parts(problem, parts, false)?));
         }
         self.check_settings_for_batches()?;
-        let options = self.options(self.settings.tolerance, true);
+        let options = self.options(1e-6, true);
         if let Some(rows) = self.eliminating(problem, parts)? {
             return Ok(rows.solve(&problem.start(), &options)?.x);
         }
