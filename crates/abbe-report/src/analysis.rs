@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use abbe_core::{AxisKind, Calibration, KinematicModel, Result, Status, StatusRole};
-use abbe_volumetric::{Cause, Causes, Known, causes, standing, without};
+use abbe_volumetric::{Cause, Causes, Known, causes, rms_without, standing};
 
 use crate::number::{short, with_uncertainty};
 use crate::run::{FitResult, Run};
@@ -131,7 +131,7 @@ impl Analysis {
         let three: Vec<usize> = named.iter().take(3).flat_map(|cause| cause.parameters.clone()).collect();
         let three = if named.len() > 3 { three } else { Vec::new() };
         let without_three = match three.is_empty() {
-            false => Some(without(model, calibration, &statuses, &three)?),
+            false => Some(rms_without(model, calibration, &statuses, &three)?),
             true => None,
         };
         let width = info.status.len().max(1);

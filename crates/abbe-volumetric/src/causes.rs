@@ -133,10 +133,11 @@ pub fn causes(
     })
 }
 
-/// Root mean square of the error at some poses, mm, if the parameters of a group alone were nominal: [`Cause::without`].
+/// Root mean square of the error at some poses, mm, if the parameters of a group alone were nominal: [`Cause::without`]. `statuses`
+/// is rows x [`status`](abbe_core::ModelInfo::status), row by row; the group lists indices of parameters of the model.
 ///
 /// Fails where the model fails.
-pub fn without(
+pub fn rms_without(
     model: &dyn KinematicModel,
     calibration: &Calibration,
     statuses: &[f64],
@@ -220,7 +221,7 @@ mod tests {
         close(found.causes[0].loss.uncertainty, travel * (0.36 * 1e-12_f64 + 0.04 * 4e-12).sqrt());
         assert_eq!(found.causes[2].loss, Known { value: 0.0, uncertainty: 0.0 });
         for (group, cause) in groups.iter().zip(&found.causes) {
-            assert_eq!(without(model.as_ref(), &known, &grid(), group).unwrap(), cause.without);
+            assert_eq!(rms_without(model.as_ref(), &known, &grid(), group).unwrap(), cause.without);
         }
     }
 

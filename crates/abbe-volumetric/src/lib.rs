@@ -12,7 +12,7 @@ mod sampling;
 #[cfg(test)]
 mod testing;
 
-pub use causes::{Cause, Causes, Known, causes, is_machine_error, without};
+pub use causes::{Cause, Causes, Known, causes, is_machine_error, rms_without};
 pub use ellipsoid::Ellipsoid;
 pub use grid::{Grid, MOST_POSES, Points, standing};
 pub use predict::{VolumetricError, machine_covariance, predict};

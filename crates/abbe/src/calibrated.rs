@@ -146,7 +146,8 @@ fn days(text: &str) -> std::result::Result<f64, String> {
     above_zero(text, "days", 1e6)
 }
 
-fn above_zero(text: &str, unit: &str, most: f64) -> std::result::Result<f64, String> {
+/// A number above 0 of some unit.
+pub fn above_zero(text: &str, unit: &str, most: f64) -> std::result::Result<f64, String> {
     let number = text.parse::<f64>().ok().filter(|number| *number > 0.0 && *number <= most);
     number.ok_or_else(|| format!("a number of {unit} above 0, at most {most}, was expected"))
 }

@@ -111,8 +111,7 @@ fn length(text: &str) -> std::result::Result<f64, String> {
 }
 
 fn positive(text: &str) -> std::result::Result<f64, String> {
-    let found = text.parse::<f64>().ok().filter(|number| *number > 0.0 && *number <= 1e4);
-    found.ok_or_else(|| "a number of µm above 0, at most 10000, was expected".to_owned())
+    crate::calibrated::above_zero(text, "µm", 1e4)
 }
 
 /// `X100,Y-50,Z0`.
