@@ -10,7 +10,7 @@ use abbe_core::{Dataset, Error, Result};
 use abbe_files::Packing;
 
 use crate::layout::{Encoding, Layout};
-use crate::parse::{Head, cells, dataset};
+use crate::parse::{Head, cells, dataset, no_lost_row};
 use crate::text::{BYTE_ORDER_MARK, LONGEST_LINE, NO_LINE_END, text, text_of_part};
 use crate::unpacking::{Part, Unpacking};
 use crate::{bytes_of, unreadable};
@@ -188,8 +188,11 @@ impl<R: Read> Lines<'_, R> {
         };
         // Nearly all lines are decided by their first character.
         let is_sure = line.iter().any(|byte| byte.is_ascii_graphic() && *byte != b'"');
-        if line.starts_with(b"#") || is_sure {
-            return Ok(!line.starts_with(b"#"));
+        if line.starts_with(b"#") {
+            return no_lost_row(self.path, self.read, &String::from_utf8_lossy(line)).map(|()| false);
+        }
+        if is_sure {
+            return Ok(true);
         }
         let cells = self.cells()?;
         Ok(cells.len() > 1 || cells.iter().any(|cell| !cell.trim().is_empty()))

@@ -326,12 +326,20 @@ impl<'a> Records<'a> {
     /// Goes to the next row; false if there is none.
     pub(crate) fn advance(&mut self) -> Result<bool> {
         let wrong = |error: csv::Error| Error::data(error.to_string()).in_file(self.path);
-        while self.reader.read_record(&mut self.cells).map_err(wrong)? {
-            // The position that `csv` gives is before the comments and blank lines that it has skipped.
-            let from = self.cells.position().map_or(0, |position| position.byte() as usize);
+        loop {
+            // Before the comments and blank lines that `csv` skips.
+            let from = self.reader.position().byte() as usize;
+            let is_row = self.reader.read_record(&mut self.cells).map_err(wrong)?;
             let start = from + skipped(self.text.get(from..).unwrap_or(""));
-            self.line += newlines(self.text.get(self.start..start).unwrap_or(""));
-            self.start = start;
+            let line = self.line + newlines(self.text.get(self.start..from).unwrap_or(""));
+            let comments = self.text.get(from..start).unwrap_or("");
+            for (at, comment) in comments.split('\n').enumerate() {
+                no_lost_row(self.path, line + at, comment)?;
+            }
+            if !is_row {
+                return Ok(false);
+            }
+            (self.line, self.start) = (line + newlines(comments), start);
             if self.cells.len() == 1 && self.cells[0].trim().is_empty() {
                 continue;
             }
@@ -365,7 +373,6 @@ impl<'a> Records<'a> {
             }
             return Ok(true);
         }
-        Ok(false)
     }
 
     /// Goes to the header row and reads it, if there is one.
@@ -462,6 +469,23 @@ fn other_separator(header: &csv::StringRecord, expected: Separator) -> Option<(&
     };
     let mut others = Separator::ALL.into_iter().filter(|(separator, ..)| *separator != expected);
     others.find(|(_, character, ..)| separates(*character)).map(|(_, _, name, setting)| (name, setting))
+}
+
+/// What spreadsheets (in English, German and French) write into a cell without a value, and which begins as a comment does.
+const WITHOUT_VALUE: [&str; 15] = [
+    "#N/A", "#NV", "#REF!", "#DIV/0!", "#VALUE!", "#NAME?", "#NUM!", "#NULL!", "#BEZUG!", "#WERT!", "#ZAHL!",
+    "#VALEUR!", "#NOM?", "#NOMBRE!", "#NUL!",
+];
+
+/// Fails for a line that begins with such a cell: it is a row, and would be left out as a comment.
+pub(crate) fn no_lost_row(path: &Path, line: usize, comment: &str) -> Result<()> {
+    let ends = |rest: &str| !rest.starts_with(|next: char| next.is_alphanumeric() || next == ' ');
+    match WITHOUT_VALUE.into_iter().find(|cell| comment.strip_prefix(cell).is_some_and(ends)) {
+        None => Ok(()),
+        Some(cell) => Err(Error::data(format!("the line begins with `{cell}`, a cell without a value"))
+            .at(path, line, None)
+            .help("lines that begin with # are comments: take the row out, or put another column first")),
+    }
 }
 
 /// Length of the comments and empty lines that a text begins with.

@@ -5,8 +5,8 @@ use abbe_core::{Class, DataRow, Dataset, Error, Quantity, Values};
 use proptest::prelude::*;
 
 use crate::{
-    ColumnSource, Decimal, Encoding, Layout, Separator, Unit, parse, parse::dataset, parse::headers,
-    parse::headers_laid_out, points, read, read_headers, unique_labels, vectors,
+    ColumnSource, Decimal, Encoding, FileInBatches, Layout, Separator, Unit, parse, parse::dataset, parse::headers,
+    parse::headers_laid_out, points, read, read_headers, read_laid_out, unique_labels, vectors,
 };
 
 fn table(text: &str) -> Result<Dataset, Error> {
@@ -133,6 +133,33 @@ fn units_places_and_labels_are_read() {
     assert_eq!(data.numbers("dir_X"), Some(&[-1.0, 1.0][..]));
     assert_eq!(data.origins.iter().map(|origin| (origin.line, origin.row)).collect::<Vec<_>>(), [(4, 1), (7, 2)]);
     assert_eq!(data.files, [PathBuf::from("t.csv")]);
+}
+
+#[test]
+fn a_row_that_begins_as_a_comment_is_not_lost() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("t.csv");
+    for (text, line) in [
+        ("X_mm,Y_mm\n1,2\n#N/A,3\n4,5\n", Some(3)),
+        ("X_mm,Y_mm\r\n# note\r\n\r\n#DIV/0!,3\r\n4,5\r\n", Some(4)),
+        ("X_mm;Y_mm\n1;2\n#NV;3", Some(3)),
+        ("X_mm,Y_mm\n1,2\n# NUM! says the sheet\n#N/A values are left out\n#NAME\n#VALUES! of today,1\n3,4\n", None),
+    ] {
+        let separator = if text.contains(';') { Separator::Semicolon } else { Separator::Comma };
+        let layout = Layout { separator, ..Layout::default() };
+        std::fs::write(&path, text).unwrap();
+        let whole = read_laid_out(&path, &layout).map(|(data, _)| data);
+        let in_batches = FileInBatches::new(&path, &layout, 2).map(|file| file.count());
+        match line {
+            None => assert!(whole.unwrap().rows() == 2 && in_batches.unwrap() == 1),
+            Some(line) => {
+                let start = format!("{}:{line}: the line begins with `#", path.display());
+                for error in [whole.unwrap_err(), in_batches.unwrap_err()] {
+                    assert!(error.to_string().starts_with(&start), "{error}");
+                }
+            }
+        }
+    }
 }
 
 #[test]
