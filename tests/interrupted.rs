@@ -295,6 +295,38 @@ fn temporary_folders_go_with_a_signal() {
     }
 }
 
+/// What a command that was killed has left among temporary files goes with the next one.
+#[cfg(unix)]
+#[test]
+fn temporary_folders_of_killed_commands_go() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let small = Small::new();
+    assert_eq!(small.abbe(&["run", "recipe.yaml", "--out", "known"]).status, 0);
+    small.write("browser", "#!/bin/sh\nexec sleep 20\n");
+    let browser = small.path("browser");
+    fs::set_permissions(&browser, fs::Permissions::from_mode(0o755)).expect("permissions");
+    let folder = small.path("temporary");
+    fs::create_dir(&folder).expect("a folder");
+    let report = |browser: &std::path::Path| {
+        std::process::Command::new(env!("CARGO_BIN_EXE_abbe-under-test"))
+            .args(["report", "known/recipe", "--out", "page.pdf"])
+            .current_dir(small.folder.path())
+            .env("TMPDIR", &folder)
+            .env("ABBE_BROWSER", browser)
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("the program starts")
+    };
+    let mut killed = report(&browser);
+    assert!(has_begun(&mut killed, &folder), "it ended before it was killed");
+    killed.kill().and_then(|()| killed.wait()).expect("it is killed");
+    assert_eq!(fs::read_dir(&folder).expect("a folder").count(), 1);
+    assert!(!report("true".as_ref()).wait().expect("it ends").success());
+    assert_eq!(fs::read_dir(&folder).expect("a folder").count(), 0);
+}
+
 /// A signal while a run reads batches: an end in good time, a status that says which, and nothing that stays, neither results nor
 /// what is kept of batches.
 #[cfg(unix)]

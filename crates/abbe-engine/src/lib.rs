@@ -64,8 +64,8 @@ pub use outcome::{CALIBRATION, Failure, Outcome, REPORT, VERDICTS, residuals_fil
 pub use parts::{OfParts, Part, PartSet, Share};
 pub use plan::Measurements;
 pub use prepare::{Prepared, prepare, prepared};
-pub use record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, Remark, RunRecord};
+pub use record::{FailureRecord, FileRecord, PluginRecord, RUN_FORMAT, Remark, RunRecord, sha256};
 pub use saved::{model_of, model_with_log};
 pub use simulate::{Simulated, SimulatedFile, UnchangedFile};
-pub use staging::{MadeFolders, Staging, refuse_temporary_place, temporary_file};
+pub use staging::{MadeFolders, Staging, refuse_temporary_place, temporary_file, temporary_folder};
 pub use understood::Understood;

@@ -242,7 +242,7 @@ impl PluginRecord {
 }
 
 /// SHA-256 of a content, 64 hexadecimal digits.
-pub(crate) fn sha256(content: &[u8]) -> String {
+pub fn sha256(content: &[u8]) -> String {
     hexadecimal(Sha256::digest(content).as_slice())
 }
 

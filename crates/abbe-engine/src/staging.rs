@@ -28,11 +28,7 @@ impl Staging {
         refuse_temporary_place(out)?;
         let failed = |error: io::Error| unwritable(out, &error);
         let made = MadeFolders::new(parent).map_err(failed)?;
-        // Nobody takes the new folder for an abandoned one before it has its lock.
-        let _access = exclusive_access(parent);
-        remove_abandoned(parent).map_err(failed)?;
-        let folder = temporary(parent).map_err(failed)?;
-        let lock = locked(folder.path());
+        let (folder, lock) = temporary_folder(parent).map_err(failed)?;
         Ok(Self { folder: Some(folder), lock, made })
     }
 
@@ -164,6 +160,17 @@ pub(crate) fn exclusive_access(folder: &Path) -> Option<File> {
         }
     }
     None
+}
+
+/// A new temporary folder in `parent`, with a lock on it that holds until it is dropped. What killed commands have left there is removed.
+pub fn temporary_folder(parent: &Path) -> io::Result<(tempfile::TempDir, Option<File>)> {
+    // Nobody takes the new folder for an abandoned one before it has its lock.
+    let _access = exclusive_access(parent);
+    // In a folder that may not be listed nothing can be found.
+    let _ = remove_abandoned(parent);
+    let folder = temporary(parent)?;
+    let lock = locked(folder.path());
+    Ok((folder, lock))
 }
 
 /// A new temporary file in `folder` that others may read, as any new file, with a lock on it. What killed commands have left there is

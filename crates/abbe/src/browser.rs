@@ -2,7 +2,7 @@
 
 use std::io::{Read, Write};
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use abbe_core::{Error, Result};
@@ -17,6 +17,9 @@ const NAMES: [&str; 6] =
 
 /// How long printing may take.
 const LONGEST: Duration = Duration::from_secs(120);
+
+/// How long a browser may take to tell its version.
+const LONGEST_ANSWER: Duration = Duration::from_secs(10);
 
 /// Largest text that is told of a browser that fails.
 const SAID: u64 = 4000;
@@ -56,21 +59,13 @@ pub fn pdf(page: &str) -> Result<Vec<u8>> {
     let mut browser = command
         .spawn()
         .map_err(|error| Error::usage(format!("the browser `{name}` does not start: {error}")).help(help()))?;
-    let began = Instant::now();
-    let status = loop {
-        if let Some(status) = browser.try_wait().map_err(failed)? {
-            break status;
-        }
-        if interrupt::happened() {
-            children::end(&mut browser);
-            return Err(Error::interrupted());
-        }
-        if began.elapsed() > LONGEST {
-            children::end(&mut browser);
+    let status = match ended_within(&mut browser, LONGEST).map_err(failed)? {
+        Some(status) => status,
+        None if interrupt::happened() => return Err(Error::interrupted()),
+        None => {
             let seconds = LONGEST.as_secs();
             return Err(Error::data(format!("the browser `{name}` did not print the page within {seconds} s")));
         }
-        std::thread::sleep(Duration::from_millis(20));
     };
     match std::fs::read(&paper) {
         Ok(printed) if status.success() && printed.starts_with(b"%PDF-") => Ok(printed),
@@ -83,8 +78,29 @@ pub fn pdf(page: &str) -> Result<Vec<u8>> {
     }
 }
 
+/// How a program ended; none if it did not within this time, or until a signal came. Then it is ended.
+fn ended_within(program: &mut Child, longest: Duration) -> std::io::Result<Option<ExitStatus>> {
+    let began = Instant::now();
+    while !interrupt::happened() && began.elapsed() <= longest {
+        if let Some(status) = program.try_wait()? {
+            return Ok(Some(status));
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    children::end(program);
+    Ok(None)
+}
+
 fn help() -> String {
     format!("install Chromium (Debian: `apt-get install chromium`), or name a browser of its kind in {VARIABLE}")
+}
+
+/// How a browser ended that was asked for its version; none if it did not.
+fn version_asked(name: &str) -> std::io::Result<Option<ExitStatus>> {
+    let mut command = Command::new(name);
+    children::apart(&mut command);
+    command.arg("--version").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    ended_within(&mut command.spawn()?, LONGEST_ANSWER)
 }
 
 /// The browser.
@@ -94,9 +110,11 @@ fn program() -> Result<String> {
     }
     let mut why = None;
     for name in NAMES {
-        match Command::new(name).arg("--version").stdin(Stdio::null()).output() {
-            Ok(answer) if answer.status.success() => return Ok(name.to_owned()),
-            Ok(answer) => why = why.or_else(|| Some(format!("`{name}` does not start here ({})", answer.status))),
+        match version_asked(name) {
+            Ok(Some(status)) if status.success() => return Ok(name.to_owned()),
+            Ok(Some(status)) => why = why.or_else(|| Some(format!("`{name}` does not start here ({status})"))),
+            Ok(None) if interrupt::happened() => return Err(Error::interrupted()),
+            Ok(None) => why = why.or_else(|| Some(format!("`{name}` does not answer here"))),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
             Err(error) => why = why.or_else(|| Some(format!("`{name}` does not start here: {error}"))),
         }

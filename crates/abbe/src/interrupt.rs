@@ -8,6 +8,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use abbe_core::{Error, Monitor, Result};
+use abbe_engine::temporary_folder;
 
 use crate::failure;
 
@@ -27,28 +28,32 @@ static WRITING: Mutex<()> = Mutex::new(());
 /// Whether the command is carried out, with success or not: what is left is to say so.
 static DONE: AtomicBool = AtomicBool::new(false);
 
-/// A folder for what is needed while a command runs. It goes when it is dropped, and when a signal or a time limit ends the process.
-pub struct TemporaryFolder(tempfile::TempDir);
+/// A folder for what is needed while a command runs. It goes when it is dropped, when a signal or a time limit ends the process, and where
+/// that was killed when the next such folder is made.
+pub struct TemporaryFolder {
+    folder: tempfile::TempDir,
+    _lock: Option<std::fs::File>,
+}
 
 impl TemporaryFolder {
     /// Makes one.
     pub fn new() -> io::Result<Self> {
         let mut folders = FOLDERS.lock().unwrap_or_else(PoisonError::into_inner);
-        let folder = tempfile::tempdir()?;
+        let (folder, _lock) = temporary_folder(&std::env::temp_dir())?;
         folders.push(folder.path().to_owned());
-        Ok(Self(folder))
+        Ok(Self { folder, _lock })
     }
 
     /// Where it is.
     pub fn path(&self) -> &Path {
-        self.0.path()
+        self.folder.path()
     }
 }
 
 impl Drop for TemporaryFolder {
     fn drop(&mut self) {
-        remove(self.0.path());
-        FOLDERS.lock().unwrap_or_else(PoisonError::into_inner).retain(|folder| folder != self.0.path());
+        remove(self.folder.path());
+        FOLDERS.lock().unwrap_or_else(PoisonError::into_inner).retain(|folder| folder != self.folder.path());
     }
 }
 
