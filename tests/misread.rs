@@ -330,6 +330,12 @@ fn results_of_tests_replace_nobodys_files() {
     let first = read(&own);
     assert!(first.contains("<testsuite"));
     assert!(!test("--junit", &own).stderr.contains("is not replaced"));
+    // What somebody wrote into it stays.
+    let noted = read(&own).replacen("</testsuite>", "<!-- as in May -->\n</testsuite>", 1);
+    fs::write(&own, &noted).expect("a file");
+    assert!(test("--junit", &own).stderr.contains("is not replaced"));
+    assert_eq!(read(&own), noted);
+    fs::write(&own, first).expect("a file");
     assert!(test("--markdown", &own).stderr.contains("is not replaced"));
     #[cfg(unix)]
     {

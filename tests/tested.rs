@@ -109,7 +109,7 @@ fn what_a_test_writes_collides_with_nothing() {
         refused(&["recipe.yaml", "--junit", "empty", "--markdown", "hard"], same);
     }
     refused(&["recipe.yaml", "--junit", "./recipe.expected", "--accept"], "belongs to recipe.yaml");
-    refused(&["recipe.yaml", "--markdown", "recipe.yaml"], "no earlier `abbe test` wrote it");
+    refused(&["recipe.yaml", "--markdown", "recipe.yaml"], "is not as an earlier `abbe test` wrote it");
     for report in ["kept", "kept/recipe", "kept/recipe/run.json", "kept/recipe/more/test.xml"] {
         refused(&["recipe.yaml", "--junit", report, "--out", "kept"], "where `--out` has results");
     }

@@ -75,7 +75,8 @@ pub fn are_different(named: &[(&str, &Path)]) -> Result<()> {
     Ok(())
 }
 
-/// Writes a file whole or not at all, in the place of an earlier one; what else was linked to that is not touched. A link stays one.
+/// Writes a file whole or not at all, in the place of an earlier one, whose permissions it takes; what else was linked to that is not touched. A
+/// link stays one.
 pub fn replace(file: &Path, content: &str) -> Result<()> {
     replace_all([(file.to_owned(), content)])
 }
@@ -87,6 +88,8 @@ pub fn replace_all<'a>(files: impl IntoIterator<Item = (PathBuf, &'a str)>) -> R
         let folder = place.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let written = temporary_file(folder).and_then(|mut new| {
             new.write_all(content.as_bytes())?;
+            // Who may read and write it stays as it was. A disk may know no permissions.
+            let _ = place.metadata().and_then(|earlier| new.as_file().set_permissions(earlier.permissions()));
             // It stays open: one that is closed is what a command has left that was killed.
             Ok(new)
         });

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use abbe_core::{Class, Error, Monitor, Result};
-use abbe_engine::prepare;
+use abbe_engine::{prepare, sha256};
 use abbe_files::{LARGEST_TEXT, is_same, place, read_text};
 use clap::Args;
 
@@ -109,7 +109,7 @@ impl Test {
         self.are_own()?;
         for (file, content) in [(&self.junit, junit(&all)), (&self.markdown, markdown(&all))] {
             let Some(file) = file else { continue };
-            replace(file, &content)?;
+            replace(file, &sealed(&content))?;
         }
         let status = u8::from(!all.iter().all(Tested::is_good));
         Ok((text(&all), status))
@@ -256,17 +256,31 @@ fn expectation(recipe: &Path) -> PathBuf {
 const JUNIT: &str = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<testsuites>\n<testsuite name=\"abbe test\"";
 const MARKDOWN: &str = "| recipe | result | s |\n";
 
-/// Fails if there is something of this name that an earlier test did not write.
+/// How the last line of a file of results begins: the hash of what is above it follows, by which a later test knows that nobody changed it.
+const SEAL: &str = "<!-- as abbe test wrote it: ";
+
+fn sealed(content: &str) -> String {
+    format!("{content}{SEAL}{} -->\n", sha256(content.as_bytes()))
+}
+
+/// Whether a file of results is as a test wrote it.
+fn is_sealed(text: &str) -> bool {
+    text.rfind(SEAL).is_some_and(|at| sealed(&text[..at]) == text)
+}
+
+/// Fails if there is something of this name that an earlier test did not write, or that somebody changed.
 fn is_own(file: &Path, head: &str) -> Result<()> {
     is_file_name(file)?;
     let Ok(found) = file.symlink_metadata() else { return Ok(()) };
     // A service may have made an empty one for it.
-    let is_own = |text: String| text.is_empty() || text.starts_with(head);
+    let is_own = |text: String| text.is_empty() || (text.starts_with(head) && is_sealed(&text));
     if found.is_file() && read_text(file, LARGEST_TEXT).is_ok_and(is_own) {
         return Ok(());
     }
-    let message =
-        format!("{} is there already, and no earlier `abbe test` wrote it; it is not replaced", file.display());
+    let message = format!(
+        "{} is there already, and is not as an earlier `abbe test` wrote it; it is not replaced",
+        file.display()
+    );
     Err(Error::usage(message).help("name another file"))
 }
 
