@@ -371,6 +371,22 @@ fn a_tool_that_is_far_longer_than_the_travel_or_below_zero_is_asked_about() {
     }
 }
 
+/// So are offsets of the probe and tips of styli.
+#[test]
+fn a_probe_that_is_far_from_the_tool_is_asked_about() {
+    for (offset, is_told) in [([0.0, -25_000.0, 0.0], true), ([0.0, -25.0, 0.0], false)] {
+        let mut recipe = Variant::of(&recipes()["cmm-brute-force"]).only(&["fit"]);
+        let machine = recipe.0["stages"].as_object_mut().expect("stages").values_mut();
+        let machine = machine.into_iter().find(|stage| stage.get("model").is_some()).expect("a machine");
+        machine["probe_offset_mm"] = json!(offset);
+        let folder = temporary();
+        let file = recipe.write(folder.path());
+        let printed = abbe(folder.path(), &[Path::new("run"), &file, Path::new("--out"), Path::new("out")]);
+        let words = "`probe_offset_mm` is 25000";
+        assert_eq!(printed.stderr.contains(words), is_told, "{offset:?}: {}", printed.stderr);
+    }
+}
+
 /// No tool and no stylus is a kilometre long.
 #[test]
 fn lengths_beyond_measure_are_refused() {

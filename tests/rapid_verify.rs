@@ -757,6 +757,46 @@ fn programs_that_would_harm_are_not_written() {
     assert!(told.contains("leads away from the facet of point"), "{told}");
 }
 
+/// Axes of the baseline that stand elsewhere than its points: columns in inches, or exchanged, while what triggered is right.
+#[test]
+fn a_baseline_beside_its_nominal_points_is_refused() {
+    let out = temporary();
+    for machine in ["three-axis", "five-axis"] {
+        for change in ["inches", "exchanged"] {
+            let mut recipe = recipe(machine, "realistic");
+            for (stage, name) in [("baseline", "baseline.csv"), ("today", "verify-2.csv"), ("history", "verify-2.csv")]
+            {
+                let source = root().join("pipelines").join(folder(machine, "realistic")).join(name);
+                let text = read(&source);
+                let (header, rows) = text.split_once('\n').expect("a header");
+                let place = |name: &str| header.split(',').position(|own| own == name).expect("a column");
+                let [x, y, z] = ["X_mm", "Y_mm", "Z_mm"].map(place);
+                let changed = |row: &str| {
+                    let mut cells: Vec<String> = row.split(',').map(str::to_owned).collect();
+                    match change {
+                        "exchanged" => cells.swap(x, y),
+                        _ => [x, y, z].into_iter().for_each(|at| {
+                            cells[at] = (cells[at].parse::<f64>().expect("a number") / 25.4).to_string();
+                        }),
+                    }
+                    cells.join(",") + "\n"
+                };
+                let file = out.path().join(name);
+                write(&file, &format!("{header}\n{}", rows.lines().map(changed).collect::<String>()));
+                recipe.stage(stage)["path"] = json!(file);
+            }
+            let said = match abbe_engine::prepare(&recipe.write(out.path()), &registry())
+                .and_then(|prepared| prepared.run(&abbe_core::Monitor::default()))
+            {
+                Err(error) => error.to_string(),
+                Ok(outcome) => outcome.failures.iter().map(|failure| failure.error.to_string()).collect(),
+            };
+            let told = ["mm beside its nominal point", "mm from `measured_mm` in this row"];
+            assert!(told.iter().any(|words| said.contains(words)), "{machine} {change}: {said}");
+        }
+    }
+}
+
 /// A run that was probed with another stylus, or from another side, is no run of this baseline.
 #[test]
 fn runs_are_probed_as_the_baseline_was() {

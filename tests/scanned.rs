@@ -187,6 +187,20 @@ fn circles_that_were_not_scanned_here_are_refused() {
     assert_eq!(refused(plane(json!([0, 0])), RADIUS), "");
 }
 
+/// Figures use two positions of three: a row that is elsewhere along the third is told.
+#[test]
+fn a_scanned_point_beside_the_plane_of_its_ring_is_told() {
+    let recipe = || Variant::of(&recipes()["standards-scanned-ring"]);
+    let file = recipe().path("scan", "path");
+    for (z, is_told) in [("50000", true), ("-150", true), ("0.05", false)] {
+        let (folder, mut recipe) = (temporary(), recipe());
+        let moved = |row: usize, cell: &str| if row == 40 { z.to_owned() } else { cell.to_owned() };
+        recipe.stage("scan")["path"] = json!(changed(&file, folder.path(), "Z_mm", moved));
+        let remarks: Vec<String> = recipe.run().verdicts.into_iter().flat_map(|verdict| verdict.remarks).collect();
+        assert_eq!(remarks.join("\n").contains("mm beside any plane"), is_told, "{z}: {remarks:?}");
+    }
+}
+
 /// A scan that went round the other way than its direction says: one of the two alone, too.
 #[test]
 fn a_scan_against_its_direction_is_told() {

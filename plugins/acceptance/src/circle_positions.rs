@@ -149,8 +149,8 @@ fn turns(data: &Dataset, angle: &str) -> bool {
     angle.len() == 1 || data.columns.iter().filter(is_rotary).any(|column| varies(data, column, 1e-3 * PI))
 }
 
-/// A sentence on rows whose positions are in no plane: a circle may be tilted, and those of two circles are not one.
-fn beside_any_plane(data: &Dataset, rows: &[usize], radius: f64) -> Option<String> {
+/// A sentence on rows of one direction whose positions are in no plane: a circle may be tilted, and those of two circles are not one.
+pub fn beside_any_plane(data: &Dataset, rows: &[usize], radius: f64) -> Option<String> {
     let columns = AXES.map(|name| data.column(name).filter(|column| column.header.quantity == Quantity::Length));
     let [Some(x), Some(y), Some(z)] = columns else { return None };
     let numbers = |column: &Column| data.numbers(&column.header.name);

@@ -13,7 +13,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::both_directions::{place_of_angle, smaller_direction};
-use crate::circle_positions::contradicted;
+use crate::circle_positions::{beside_any_plane, contradicted};
 use crate::common::{
     Acceptance, Judge, Key, Limits, MOST_STEPS, Sheet, against, check_limits, directions, doubted, faults, finite,
     names, run_name, too_quiet, undecided,
@@ -222,15 +222,16 @@ impl Circular {
         self.angle.as_deref().unwrap_or("angle")
     }
 
-    /// A sentence on positions beside angles and readings that contradict the angles or the radius.
+    /// A sentence on positions that are in no plane, or that contradict the angles or the radius beside which they stand.
     fn beside(&self, data: &Dataset, angles: &[f64]) -> Result<Option<String>> {
-        if self.scanned.is_some() {
-            return Ok(None);
-        }
         let ways = directions(data)?;
         Ok([true, false].into_iter().find_map(|way| {
             let rows: Vec<usize> = (0..angles.len()).filter(|row| ways[*row] == way).collect();
-            contradicted(data, self.angle(), angles, &rows, self.radius_mm)
+            match self.scanned {
+                // Angles and readings are made of positions, two of three.
+                Some(_) => beside_any_plane(data, &rows, self.radius_mm),
+                None => contradicted(data, self.angle(), angles, &rows, self.radius_mm),
+            }
         }))
     }
 

@@ -56,6 +56,9 @@ pub struct Run {
 /// the facet and does not change the reading.
 const ELSEWHERE: (f64, f64) = (0.05, ELSEWHERE_ANGLE);
 
+/// Largest distance, mm, of a touch of the baseline beside its nominal point: an artefact that stands a little elsewhere than planned.
+const BESIDE: f64 = 10.0;
+
 const AS_BEFORE: &str = "runs have to probe the points as the baseline did";
 
 /// A cell of a column, as text.
@@ -97,6 +100,12 @@ impl Baseline {
             let mut touch = Touch::new(problem.model.as_ref(), point, status)?;
             touch.status[problem.model.info().axes[touch.axis].status] = mean;
             nominal.check_approach(nominal_row, &touch)?;
+            let beside = touch.beside_here(&problem.machine_values)?;
+            if beside > BESIDE || beside.is_nan() {
+                let message = format!("point {} is touched {beside:.1} mm beside its nominal point", point.label);
+                let help = "are the columns of the axes in their order and unit, and is this the nominal file of the artefact?";
+                return Err(layout.data.error_at(*first_row, message).help(help));
+            }
             points.push(Probed {
                 point: point.clone(),
                 min: readings.iter().copied().fold(f64::INFINITY, f64::min),

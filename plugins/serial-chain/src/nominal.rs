@@ -17,8 +17,8 @@ pub(crate) const FARTHEST: f64 = 1e6;
 const LONG_MM: f64 = 500.0;
 const LONG: f64 = 3.0;
 
-/// The sentence on a tool of a length below zero, or that is far longer than the machine moves: its sign, its unit or a digit is wrong.
-/// Where lengths alone are measured no residual tells it, and errors far from the axes are wrong.
+/// The sentence on a tool of a length below zero, or on one that with its probe and styli is far longer than the machine moves: its sign,
+/// its unit or a digit is wrong. Where lengths alone are measured no residual tells it, and errors far from the axes are wrong.
 pub(crate) fn doubtful_tool(settings: &Settings) -> Option<String> {
     let length = settings.tool_length_mm;
     if length < 0.0 {
@@ -28,12 +28,16 @@ pub(crate) fn doubtful_tool(settings: &Settings) -> Option<String> {
     }
     let travels = settings.axes.values().filter_map(|axis| axis.range_mm).map(|[from, to]| to - from);
     let longest = travels.reduce(f64::max)?;
-    (length > LONG_MM.max(LONG * longest)).then(|| {
-        format!(
-            "`tool_length_mm` is {length}, {:.0} times the longest travel of a linear axis ({longest} mm): is it in millimetres?",
-            length / longest
-        )
-    })
+    let offset = settings.probe_offset_mm.map(|offset| ("`probe_offset_mm`".to_owned(), offset));
+    let tips = settings.styli.iter().filter_map(|(number, stylus)| Some((number, stylus.tip()?)));
+    let tips = tips.map(|(number, tip)| (format!("the tip of stylus {number}"), tip));
+    let places = offset.into_iter().chain(tips).map(|(name, place)| (name, Vector3::from(place).amax()));
+    let tool = std::iter::once(("`tool_length_mm`".to_owned(), length));
+    let (name, length) = tool.chain(places).find(|(_, length)| *length > LONG_MM.max(LONG * longest))?;
+    Some(format!(
+        "{name} is {length}, {:.0} times the longest travel of a linear axis ({longest} mm): is it in millimetres?",
+        length / longest
+    ))
 }
 
 /// Nominal geometry of one axis.
