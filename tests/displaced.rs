@@ -262,3 +262,43 @@ fn readings_in_another_unit_are_named_where_errors_are_implausible() {
     let said = run(&recipe).1;
     assert!(said.contains("no machine has such errors") && said.contains("EBX.csv` divided by 1000"), "{said}");
 }
+
+/// A plane facet fits as well wherever it is touched, and the range of the machine is that of its rows.
+#[test]
+fn touches_far_from_their_facets_are_told() {
+    let words = "far from the nominal place of the feature, the first in";
+    for (row, z, is_told) in [(322, "12107.5196", true), (200, "5431.6740", true), (200, "", false)] {
+        let (folder, mut recipe) = (temporary(), Variant::of(&recipes()["first-steps"]));
+        let file = recipe.path("touches", "path");
+        let moved = |own: usize, cell: &str| if own == row && !z.is_empty() { z.to_owned() } else { cell.to_owned() };
+        recipe.stage("touches")["path"] = json!(changed(&file, folder.path(), "Z_mm", moved));
+        let said = run(&recipe).1;
+        assert_eq!(said.contains(words), is_told, "{row}: {said}");
+    }
+}
+
+/// Touches of one facet with the places of another one are not those of its own.
+#[test]
+fn a_facet_with_the_touches_of_another_one_is_told() {
+    let (copied, onto) = ("26", "24");
+    {
+        let (folder, mut recipe) = (temporary(), Variant::of(&recipes()["first-steps"]));
+        let file = with_rows(&recipe.path("touches", "path"), folder.path(), &|header, rows| {
+            let feature = place(header, "feature");
+            let mut others: Vec<Vec<String>> = rows.iter().filter(|row| row[feature] == copied).cloned().collect();
+            others.reverse();
+            for row in rows.iter_mut().filter(|row| row[feature] == onto) {
+                let Some(other) = others.pop() else { break };
+                for column in
+                    (0..header.len()).filter(|column| !["touch", "time_s"].contains(&header[*column].as_str()))
+                {
+                    row[column].clone_from(&other[column]);
+                }
+                row[feature] = onto.to_owned();
+            }
+        });
+        recipe.stage("touches")["path"] = json!(file);
+        let said = run(&recipe).1;
+        assert!(said.contains(&format!("feature {onto} was touched at the nominal place of {copied}")), "{said}");
+    }
+}

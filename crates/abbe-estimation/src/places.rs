@@ -1,8 +1,9 @@
-//! Features whose touches lie at the nominal place of each other: offsets of facets take up the difference, and nothing else tells.
+//! Features whose touches lie at the nominal place of another one, and touches that are far from that of their own: offsets of facets take
+//! up the difference, and nothing else tells.
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Contact, ObservationSet, Poses, Problem, RowIndex};
+use abbe_core::{Contact, ObservationSet, Poses, Problem, RowIndex, SetIndex};
 use nalgebra::Vector3;
 
 /// A touch is at the place of another feature if it is nearer to it than this part of the distance between the two, and further from its
@@ -16,13 +17,20 @@ const FEW: f64 = 0.25;
 /// Fewest features that tell: two alone may be turned round together.
 const FEWEST: usize = 3;
 
-/// Sentences on pairs of features each of which was touched where the other one should be.
-pub(crate) fn exchanged_places(problem: &Problem) -> Vec<String> {
-    let sets = problem.sets.iter().filter(|set| set.info().contact == Contact::LinearAxes);
-    sets.flat_map(|set| of_set(problem, set).unwrap_or_default()).collect()
+/// Fewest touches of a feature that are all at the place of another one, which was not touched at its own: of fewer it may be chance.
+const ALL: usize = 3;
+
+/// A touch is far from its feature beyond so many times what nine in ten are within, and beyond so many mm.
+const OF_OTHERS: f64 = 10.0;
+const AWAY: f64 = 100.0;
+
+/// Sentences on features that were touched where another one should be, and on touches that are far from the place of their feature.
+pub(crate) fn wrong_places(problem: &Problem) -> Vec<String> {
+    let sets = SetIndex::enumerate(&problem.sets).filter(|(_, set)| set.info().contact == Contact::LinearAxes);
+    sets.flat_map(|(index, set)| of_set(problem, index, set).unwrap_or_default()).collect()
 }
 
-fn of_set(problem: &Problem, set: &ObservationSet) -> Option<Vec<String>> {
+fn of_set(problem: &Problem, index: SetIndex, set: &ObservationSet) -> Option<Vec<String>> {
     let (info, layout) = (set.info(), &set.info().layout);
     let labels = layout.data.labels("feature")?;
     let places: Vec<Vector3<f64>> = info.features.iter().map(|feature| Vector3::from(feature.point)).collect();
@@ -30,23 +38,70 @@ fn of_set(problem: &Problem, set: &ObservationSet) -> Option<Vec<String>> {
         info.features.iter().enumerate().map(|(index, feature)| (feature.label.as_str(), index)).collect();
     let touch = |(row, tip): (RowIndex, Vector3<f64>)| {
         let feature = of_label.get(labels[layout.rows[row].data_row?].as_str())?;
-        Some((*feature, tip))
+        Some((row, (*feature, tip)))
     };
-    let touches: Vec<(usize, Vector3<f64>)> = tips(problem, set)?.into_iter().filter_map(touch).collect();
-    let sentence = |[one, other]: [usize; 2]| {
-        let apart = (places[one] - places[other]).norm();
-        let [one, other] = [one, other].map(|feature| &info.features[feature].label);
-        format!(
-            "{}: feature {one} was touched at the nominal place of {other}, {apart:.1} mm from its own, and {other} at that of {one}: are \
-             the two labels exchanged? What is found of each then belongs to the other one",
+    let (rows, touches): (Vec<RowIndex>, Vec<Touch>) = tips(problem, set)?.into_iter().filter_map(touch).unzip();
+    let label = |feature: usize| &info.features[feature].label;
+    let apart = |one: usize, other: usize| (places[one] - places[other]).norm();
+    let mut sentences = Vec::new();
+    for Elsewhere { feature, at, is_exchanged } in elsewhere(&places, &touches) {
+        let (one, other, apart) = (label(feature), label(at), apart(feature, at));
+        let first = format!(
+            "{}: feature {one} was touched at the nominal place of {other}, {apart:.1} mm from its own",
             set.name
-        )
-    };
-    Some(exchanged_pairs(&places, &touches).into_iter().map(sentence).collect())
+        );
+        sentences.push(match is_exchanged {
+            true => format!(
+                "{first}, and {other} at that of {one}: are the two labels exchanged? What is found of each then belongs to the other one"
+            ),
+            false => format!("{first}: are these its touches, and is the nominal place right? What is found of it then belongs to the other one"),
+        });
+    }
+    let (far, usual) = far(&places, &touches);
+    if let Some(first) = far.first()
+        && let Some((file, origin)) = problem.origin(index, rows[*first])
+    {
+        let (feature, tip) = touches[*first];
+        let count = if far.len() == 1 { "a touch lies".to_owned() } else { format!("{} touches lie", far.len()) };
+        sentences.push(format!(
+            "{}: {count} far from the nominal place of the feature, the first in {}, {:.0} mm from that of {}, and nine in ten are within \
+             {usual:.1} mm: is a position wrong? A plane facet fits as well wherever it is touched, and the range of the machine is that of \
+             its rows",
+            set.name,
+            origin.in_file(file),
+            (tip - places[feature]).norm(),
+            label(feature)
+        ));
+    }
+    Some(sentences)
 }
 
-/// Pairs of features with most of their touches at the place of the other one; none if the others are not where they should be either.
-fn exchanged_pairs(places: &[Vector3<f64>], touches: &[(usize, Vector3<f64>)]) -> Vec<[usize; 2]> {
+/// The places in the list of touches that are far from the nominal place of their feature, and what nine in ten are within, mm.
+fn far(places: &[Vector3<f64>], touches: &[Touch]) -> (Vec<usize>, f64) {
+    let distances: Vec<f64> = touches.iter().map(|(feature, tip)| (tip - places[*feature]).norm()).collect();
+    let mut sorted = distances.clone();
+    sorted.sort_by(f64::total_cmp);
+    let Some(last) = sorted.len().checked_sub(2) else { return (Vec::new(), 0.0) };
+    let usual = sorted[(sorted.len() * 9 / 10).min(last)];
+    let is_far = |touch: &usize| distances[*touch] > AWAY.max(OF_OTHERS * usual);
+    ((0..touches.len()).filter(is_far).collect(), usual)
+}
+
+/// A feature that was touched where another one should be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Elsewhere {
+    feature: usize,
+    at: usize,
+    /// Whether the other one was touched at the place of this one; such a pair is there once.
+    is_exchanged: bool,
+}
+
+/// A feature and the tip at a touch of it.
+type Touch = (usize, Vector3<f64>);
+
+/// Pairs of features with most of their touches at the place of the other one, and features with all of theirs at the place of one that
+/// is where it should be; none if the others are not where they should be either.
+fn elsewhere(places: &[Vector3<f64>], touches: &[Touch]) -> Vec<Elsewhere> {
     // Touches of each feature, and those of them at the place of another one.
     let mut counts: BTreeMap<usize, (usize, BTreeMap<usize, usize>)> = BTreeMap::new();
     for (feature, tip) in touches {
@@ -64,16 +119,25 @@ fn exchanged_pairs(places: &[Vector3<f64>], touches: &[(usize, Vector3<f64>)]) -
             *elsewhere.entry(other).or_default() += 1;
         }
     }
-    let is_at = |one: usize, other: usize| {
+    let at = |one: usize, other: usize| {
         let count = counts.get(&one).map(|(all, elsewhere)| (*all, elsewhere.get(&other).copied().unwrap_or_default()));
-        count.is_some_and(|(all, elsewhere)| 2 * elsewhere > all)
+        count.unwrap_or_default()
+    };
+    let is_at = |one: usize, other: usize| {
+        let (all, elsewhere) = at(one, other);
+        2 * elsewhere > all
     };
     let touched: Vec<usize> = counts.keys().copied().collect();
-    let pairs =
-        touched.iter().enumerate().flat_map(|(place, one)| touched[place + 1..].iter().map(|other| [*one, *other]));
-    let pairs: Vec<[usize; 2]> = pairs.filter(|[one, other]| is_at(*one, *other) && is_at(*other, *one)).collect();
-    let is_told = touched.len() >= FEWEST && pairs.len() as f64 <= (FEW * touched.len() as f64).max(1.0);
-    if is_told { pairs } else { Vec::new() }
+    let all = touched.iter().flat_map(|one| (0..places.len()).map(move |other| (*one, other)));
+    let found = all.filter_map(|(feature, at_place)| {
+        let is_exchanged = is_at(feature, at_place) && is_at(at_place, feature);
+        let (all, elsewhere) = at(feature, at_place);
+        let is_told = if is_exchanged { feature < at_place } else { all >= ALL && elsewhere == all };
+        is_told.then_some(Elsewhere { feature, at: at_place, is_exchanged })
+    });
+    let found: Vec<Elsewhere> = found.collect();
+    let is_told = touched.len() >= FEWEST && found.len() as f64 <= (FEW * touched.len() as f64).max(1.0);
+    if is_told { found } else { Vec::new() }
 }
 
 /// The tips of all rows with one pose, table frame, mm, at the start of the estimate.
@@ -93,8 +157,14 @@ mod tests {
 
     use super::*;
 
-    /// A feature and the tip at a touch of it.
-    type Touch = (usize, Vector3<f64>);
+    /// The pairs that are exchanged.
+    fn exchanged_pairs(places: &[Vector3<f64>], touches: &[Touch]) -> Vec<[usize; 2]> {
+        let pair = |found: Elsewhere| {
+            assert!(found.is_exchanged, "{found:?}");
+            [found.feature, found.at]
+        };
+        elsewhere(places, touches).into_iter().map(pair).collect()
+    }
 
     /// Random facets, and touches on them by a machine with a set-up that is off, aimed at their points or anywhere around these.
     fn touched(random: &mut Generator) -> (Vec<Vector3<f64>>, Vec<Touch>) {
@@ -137,11 +207,42 @@ mod tests {
         for seed in 0..1000 {
             let (places, mut touches) = touched(&mut Generator::new(seed, 4));
             touches.iter_mut().for_each(|(feature, _)| *feature = if *feature < 2 { 1 - *feature } else { *feature });
-            let found = exchanged_pairs(&places, &touches);
-            assert!(found.is_empty() || found == [[0, 1]], "{seed}: {found:?}");
+            let found = elsewhere(&places, &touches);
+            assert!(found.iter().all(|found| found.feature < 2), "{seed}: {found:?}");
+            named += usize::from(matches!(found[..], [Elsewhere { is_exchanged: true, .. }]));
+        }
+        assert!(named > 600, "{named}");
+    }
+
+    /// Touches of one feature that are copies of those of another one.
+    #[test]
+    fn a_feature_that_was_touched_at_another_is_named() {
+        let mut named = 0;
+        for seed in 0..2000 {
+            let (places, touches) = touched(&mut Generator::new(seed, 5));
+            let others = touches.iter().filter(|(feature, _)| *feature != 0);
+            let copies = touches.iter().filter(|(feature, _)| *feature == 1).map(|(_, tip)| (0, *tip));
+            let copied: Vec<Touch> = others.copied().chain(copies).collect();
+            let found = elsewhere(&places, &copied);
+            assert!(
+                found.is_empty() || found == [Elsewhere { feature: 0, at: 1, is_exchanged: false }],
+                "{seed}: {found:?}"
+            );
             named += usize::from(!found.is_empty());
         }
         assert!(named > 600, "{named}");
+    }
+
+    #[test]
+    fn touches_far_from_their_features_are_found() {
+        for seed in 0..5000 {
+            let mut random = Generator::new(seed, 6);
+            let (places, mut touches) = touched(&mut random);
+            assert_eq!(far(&places, &touches).0, Vec::<usize>::new(), "{seed}");
+            let wrong = random.index(touches.len());
+            touches[wrong].1.z += 700.0;
+            assert_eq!(far(&places, &touches).0, [wrong], "{seed}");
+        }
     }
 
     /// An artefact that stands turned round is no exchange of labels.

@@ -18,7 +18,7 @@ use crate::exchanged_channels::exchanged_channels;
 use crate::instruments::instruments;
 use crate::lost_signs::lost_signs;
 use crate::minutes::minutes;
-use crate::places::exchanged_places;
+use crate::places::wrong_places;
 use crate::planned::planned;
 use crate::row_order::contradicted_by_order;
 use crate::times::falling;
@@ -39,7 +39,7 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks.extend(shared(problem));
     remarks.extend(styli(problem));
     remarks.extend(missed(problem));
-    remarks.extend(exchanged_places(problem));
+    remarks.extend(wrong_places(problem));
     remarks.extend(beside_facets(problem));
     remarks.extend(planned(problem));
     remarks.extend(minutes(problem));
@@ -148,6 +148,8 @@ const MISSED_BY_MANY: f64 = 10.0;
 pub fn missed(problem: &Problem) -> Vec<String> {
     let Ok(residuals) = problem.residuals(&problem.start()) else { return Vec::new() };
     let equations = residuals.iter().zip(problem.quantities()).zip(problem.equation_rows());
+    // Where the geometry is singular there is no distance; that is an error of its own.
+    let equations = equations.filter(|((residual, _), _)| residual.is_finite());
     let mut of_sets: BTreeMap<SetIndex, Vec<f64>> = BTreeMap::new();
     let mut of_files: BTreeMap<(SetIndex, &Path), Vec<f64>> = BTreeMap::new();
     for ((residual, _), (set, row)) in equations.filter(|((_, quantity), _)| *quantity == Quantity::Length) {
