@@ -156,29 +156,41 @@ pub fn tell_unlike(what: &str, values: &[(String, f64)]) {
 /// Part of a mean within which means of the same sensor are alike: its gap was set once.
 const SAME_GAP: f64 = 0.05;
 
-/// Fewest sensors of a run whose signs are turned together: of one alone it may be chance.
-const TURNED: usize = 2;
+/// Fewest sensors of a run that tell of turned signs: the mean of one alone may be opposite by chance.
+const SENSORS: usize = 2;
 
-/// Tells of a run in which the means of all sensors are those of the other runs with the other sign; `means` are those of the sensors by
-/// the names of runs, mm.
-pub fn tell_turned(means: &[(String, Vec<f64>)]) {
-    let runs = (0..means.len()).filter(|&run| is_turned(means, run)).map(|run| &means[run].0);
-    runs.for_each(|run| {
-        tracing::warn!(
-            "run `{run}`: the mean readings are those of the other runs with the other sign: are its signs turned?"
-        );
-    });
+/// Tells of a run in which the means of some sensors, or of all, are those of the other runs with the other sign, and the rest are as in
+/// the other runs; `means` are those of the sensors with these names by the names of runs, mm.
+pub fn tell_turned(names: &[&str], means: &[(String, Vec<f64>)]) {
+    for (run, (label, own)) in means.iter().enumerate() {
+        let turned = turned(means, run);
+        let named: Vec<&str> = turned.iter().filter_map(|sensor| names.get(*sensor).copied()).collect();
+        match turned.len() {
+            0 => {}
+            count if count == own.len() => tracing::warn!(
+                "run `{label}`: the mean readings are those of the other runs with the other sign: are its signs turned?"
+            ),
+            _ => tracing::warn!(
+                "run `{label}`: the mean of {} is that of the other runs with the other sign, and those of the other sensors are as there: is \
+                 the sign turned?",
+                named.join(" and ")
+            ),
+        }
+    }
 }
 
-fn is_turned(means: &[(String, Vec<f64>)], run: usize) -> bool {
+/// The sensors of a run whose means are those of all other runs with the other sign; none if another sensor has another mean than there.
+fn turned(means: &[(String, Vec<f64>)], run: usize) -> Vec<usize> {
     let (own, others) = (&means[run].1, || means.iter().enumerate().filter(|(other, _)| *other != run));
-    let opposes = |sensor: usize| {
+    let is_mean_of_others = |sensor: usize, sign: f64| {
         let is_alike = |(_, (_, other)): (usize, &(String, Vec<f64>))| {
-            other.get(sensor).is_some_and(|other| (other + own[sensor]).abs() < SAME_GAP * own[sensor].abs())
+            other.get(sensor).is_some_and(|other| (sign * other - own[sensor]).abs() < SAME_GAP * own[sensor].abs())
         };
         others().all(is_alike)
     };
-    others().count() >= 2 && own.len() >= TURNED && (0..own.len()).all(opposes)
+    let turned: Vec<usize> = (0..own.len()).filter(|&sensor| is_mean_of_others(sensor, -1.0)).collect();
+    let others_agree = (0..own.len()).all(|sensor| turned.contains(&sensor) || is_mean_of_others(sensor, 1.0));
+    if others().count() >= 2 && own.len() >= SENSORS && others_agree { turned } else { Vec::new() }
 }
 
 /// Fewest readings of each sensor, at the same places of two runs, that two runs do not have in common by chance.
@@ -228,16 +240,15 @@ mod tests {
             };
             let mut means: Vec<(String, Vec<f64>)> =
                 (0..3).map(|place| (place.to_string(), run(&mut random, 1.0))).collect();
-            assert!((0..3).all(|place| !is_turned(&means, place)), "{seed}: {means:?}");
-            means[1].1 = run(&mut random, -1.0);
-            assert_eq!(
-                (0..3).map(|place| is_turned(&means, place)).collect::<Vec<_>>(),
-                [false, true, false],
-                "{seed}"
-            );
+            let found = |means: &[(String, Vec<f64>)]| -> [Vec<usize>; 3] { [0, 1, 2].map(|run| turned(means, run)) };
+            assert!(found(&means).iter().all(Vec::is_empty), "{seed}: {means:?}");
+            // One sensor, two, or all.
+            let sensors: Vec<usize> = (0..3).filter(|sensor| (seed / 7 + 1) >> sensor & 1 == 1).collect();
+            sensors.iter().for_each(|sensor| means[1].1[*sensor] *= -1.0);
+            assert_eq!(found(&means), [vec![], sensors, vec![]], "{seed}");
             // Sensors that are set to zero before each run.
             let zeroed: Vec<(String, Vec<f64>)> = (0..3).map(|place| (place.to_string(), gaps(&mut random))).collect();
-            assert!((0..3).all(|place| !is_turned(&zeroed, place)), "{seed}: {zeroed:?}");
+            assert!(found(&zeroed).iter().all(Vec::is_empty), "{seed}: {zeroed:?}");
         }
     }
 

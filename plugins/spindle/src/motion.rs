@@ -347,7 +347,8 @@ impl Estimate for Motion {
             means.push((called, fitted.values.iter().map(|own| own[0]).collect::<Vec<f64>>()));
             seen.push((run.label.clone(), std::mem::take(&mut run.steps)));
         }
-        tell_turned(&means);
+        let sensors: Vec<&str> = self.radial.keys().chain(&self.axial).map(String::as_str).collect();
+        tell_turned(&sensors, &means);
         tell_copied(&seen);
         for (direction, values) in &asynchronous {
             tell_unlike(&format!("the asynchronous motion {direction}"), values);
