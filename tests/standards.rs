@@ -294,6 +294,17 @@ fn what_is_no_test_is_told_or_decides_nothing() {
         }
     });
     assert!(remarks(&copied).contains(words[0]), "{}", remarks(&copied));
+    // Readings of zero keep all limits, and decide on none.
+    let zeros = told("positioning", "linear", &|rows, place| {
+        let reading = place("reading_um");
+        rows.iter_mut().for_each(|row| row[reading] = "0".to_owned());
+    });
+    assert!(remarks(&zeros).contains(words[1]), "{}", remarks(&zeros));
+    let of_all = zeros.verdicts.iter().flat_map(|verdict| &verdict.figures);
+    let of_linear: Vec<&Figure> =
+        of_all.filter(|figure| figure.limit.is_some() && figure.name.ends_with("[linear]")).collect();
+    assert!(!of_linear.is_empty());
+    of_linear.iter().for_each(|figure| assert!(figure.decide() != Some(Decision::Pass), "{figure:?}"));
     let nothing = told("cmm", "lengths", &|rows, place| {
         let (reference, measured) = (place("reference_mm"), place("measured_mm"));
         rows.iter_mut().for_each(|row| row[measured] = row[reference].clone());

@@ -13,7 +13,9 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::common::{Acceptance, Judge, copied_repeats, doubted, figure, finite, lacks_most, run_name, undecided};
+use crate::common::{
+    Acceptance, Judge, copied_repeats, doubted, figure, finite, lacks_most, run_name, undecided, unmeasured,
+};
 
 abbe_core::register!(
     Validate,
@@ -206,7 +208,8 @@ impl Lengths {
             return Err(Error::data(message).setting("from"));
         }
         let errors: Vec<f64> = all.iter().map(Measured::error).collect();
-        let doubted = doubted(&run, &[&errors]);
+        let same = unmeasured(&[&errors]).map(|same| format!("{run}: {same}"));
+        let doubted = same.or_else(|| doubted(&run, &[&errors]));
         let copied: Vec<String> = copied_repeats("lengths", &in_digits(&all, &sets))
             .filter(|_| doubted.is_none() && !is_computed(&errors))
             .into_iter()

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use crate::common::{
     Acceptance, Judge, Key, Limits, Sheet, check_limits, copied_points, doubted, finite, lacks_most, names, run_name,
-    undecided,
+    undecided, unmeasured,
 };
 
 abbe_core::register!(
@@ -85,9 +85,10 @@ fn points(data: &Dataset) -> Result<Vec<OfStylus<'_>>> {
 impl Probing {
     fn judge(&self, data: &Dataset, findings: &mut Findings) -> Result<()> {
         let (run, all) = (run_name(data), points(data)?);
-        let columns = ["x", "y", "z"].map(|axis| finite(data, axis, Quantity::Length));
-        let [x, y, z] = columns;
-        let doubted = doubted(&run, &[x?, y?, z?]);
+        let [x, y, z] = ["x", "y", "z"].map(|axis| finite(data, axis, Quantity::Length));
+        let columns = [x?, y?, z?];
+        let same = unmeasured(&columns).map(|same| format!("{run}: {same}"));
+        let doubted = same.or_else(|| doubted(&run, &columns));
         let copied = copied_points("stylus", &all);
         if doubted.is_none() {
             findings.remarks.extend(copied.iter().map(|copied| format!("{run}: {copied}")));

@@ -218,14 +218,19 @@ fn digit_and_range(readings: &[f64]) -> (f64, f64) {
     (apart.fold(range, f64::min), range)
 }
 
-/// A remark on readings that are no measurement of their own: all the same, or stretches of them as others were, forwards or backwards.
+/// A sentence on readings that are all the same.
+pub fn unmeasured(columns: &[&[f64]]) -> Option<String> {
+    let rows = columns.first().map_or(0, |column| column.len());
+    let is_one = |column: &&[f64]| column.iter().all(|reading| reading.to_bits() == column[0].to_bits());
+    (rows > 2 && columns.iter().all(is_one))
+        .then(|| format!("all {rows} readings are the same: was anything measured?"))
+}
+
+/// A remark on readings that are no measurement of their own: stretches of them as others were, forwards or backwards.
 pub fn doubted(run: &str, columns: &[&[f64]]) -> Option<String> {
     let rows = columns.first().map_or(0, |column| column.len());
     let row = |row: usize| columns.iter().map(|column| column[row].to_bits()).collect::<Vec<u64>>();
     let readings: Vec<Vec<u64>> = (0..rows).map(row).collect();
-    if rows > 2 && readings.iter().all(|other| *other == readings[0]) {
-        return Some(format!("{run}: all {rows} readings are the same: was anything measured?"));
-    }
     let mut first: BTreeMap<Vec<&Vec<u64>>, usize> = BTreeMap::new();
     let mut copied: BTreeSet<usize> = BTreeSet::new();
     let mut ways: BTreeSet<Way> = BTreeSet::new();
@@ -260,6 +265,10 @@ pub fn doubted(run: &str, columns: &[&[f64]]) -> Option<String> {
 /// Faults of the instrument that its readings tell, each a sentence: columns that were read in the same rows, by name, in a unit of which
 /// `people` has the factor to that of people. `uncertainty` is the standard uncertainty of a reading; zero if it is not stated.
 pub fn faults(columns: &[(&str, &[f64])], uncertainty: f64, people: (f64, &str)) -> Vec<String> {
+    let readings: Vec<&[f64]> = columns.iter().map(|(_, readings)| *readings).collect();
+    if let Some(unmeasured) = unmeasured(&readings) {
+        return vec![unmeasured];
+    }
     let channels: Vec<Channel<'_>> = columns.iter().map(|(name, readings)| Channel { name, readings }).collect();
     let found = instrument_faults(&channels, (uncertainty > 0.0).then_some(uncertainty));
     found.iter().map(|fault| fault.describe(&channels, people)).collect()
