@@ -174,6 +174,16 @@ fn a_file_with_the_name_of_a_journal_stays() {
         assert_eq!(std::fs::read_to_string(&journal).unwrap(), "notes of somebody");
         std::fs::remove_file(&journal).unwrap();
     }
+    // SQLite would wait for a pipe, or remove it.
+    #[cfg(unix)]
+    for ending in ["-journal", "-wal"] {
+        let pipe = folder.path().join(format!("plant.sqlite{ending}"));
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        for told in [History::open(&path).err().unwrap(), History::read(&path).err().unwrap()] {
+            assert!(told.message.contains("is a file of something else"), "{told}");
+        }
+        std::fs::remove_file(&pipe).unwrap();
+    }
     // A journal that was just begun, and that of a writer that was killed.
     let journal = folder.path().join("plant.sqlite-journal");
     for begun in [vec![], vec![0; 512]] {
