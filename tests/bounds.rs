@@ -166,6 +166,7 @@ fn long_cells_are_refused_and_long_names_are_cut() {
 fn rows_of_millions_of_cells_are_refused() {
     const CELLS: usize = 5_000_000;
     let small = Small::new();
+    assert_eq!(ended(&small, &RUN).status, 0);
     let touches = small.read("data/touches.csv");
     let header = touches.lines().next().expect("a header");
     let columns = header.split(',').count();
@@ -206,10 +207,33 @@ fn rows_of_millions_of_cells_are_refused() {
         assert!(matches!(status, Some(1 | 2)), "{status:?} {said}");
         assert!(said.contains(words) && said.contains("wide.csv:"), "{words}: {said}");
     }
+    // No room is made for cells that are not read.
+    small.write("commas.csv", &",".repeat(60_000_000));
+    let (status, said) = limited(&["correct", "out/recipe/fine.calibration.json", "commas.csv"]);
+    assert!(matches!(status, Some(1 | 2)) && said.contains("commas.csv:1: the row has 60000001 cells"), "{said}");
+    small.write(
+        "recipe.fleet.yaml",
+        "abbe_fleet: 1\nfamilies:\n  f:\n    recipe: recipe.yaml\n    for: { n: { table: commas.csv } }\n",
+    );
+    let (status, said) = limited(&["fleet", "plan", "recipe.fleet.yaml"]);
+    assert!(status == Some(2) && said.contains("commas.csv:1: this is no table: the row has 60000001 cells"), "{said}");
     // Many columns are a table all the same.
     small.write("wide.csv", &format!("{}last\n{}20\n{}21\n", names(100_000), cells(100_000), cells(100_000)));
     let (status, said) = limited(&["data", "wide.csv"]);
     assert_eq!((status, said.as_str()), (Some(0), ""));
+}
+
+/// Each value of a recipe takes room while it is read, however short it is.
+#[test]
+fn recipes_of_millions_of_values_are_refused() {
+    let small = Small::new();
+    let recipe = small.read("recipe.yaml");
+    for list in ["1,".repeat(300_000), "{ a: 1 },".repeat(130_000)] {
+        small.write("recipe.yaml", &format!("{recipe}\nmany: [{list}]\n"));
+        let printed = ended(&small, &["check", RECIPE]);
+        assert_eq!(printed.status, 2, "{}", printed.stderr);
+        assert!(printed.stderr.contains("250000 values stand before this one"), "{}", printed.stderr);
+    }
 }
 
 #[test]

@@ -26,6 +26,9 @@ const LARGEST_TABLE: u64 = 256 << 20;
 /// Bytes of the longest cell: 64 KiB, as in tables of measurements.
 const LONGEST_CELL: usize = 64 << 10;
 
+/// Most cells of a row.
+const MOST_CELLS: usize = 1 << 17;
+
 /// What stands under `for`: every value of each variable with every value of the others, the last one fastest. `folder` is that of the
 /// fleet.
 pub fn read(node: Option<&Node<'_>>, folder: &Path) -> Result<Vec<Combination>> {
@@ -84,6 +87,14 @@ fn table(name: &str, node: &Node<'_>, folder: &Path) -> Result<Vec<(Variables, V
         let line = 1 + text.as_bytes()[..at].iter().filter(|byte| **byte == b'\n').count();
         let error = Error::usage("a zero byte stands here: this is no text, or it is damaged").at(&path, line, None);
         return Err(error.help("write the table again"));
+    }
+    // Before any cell is made of a row: each would take room.
+    for (line, row) in text.lines().enumerate().filter(|(_, row)| row.len() > MOST_CELLS) {
+        let cells = row.bytes().filter(|byte| *byte == b',').count() + 1;
+        if cells > MOST_CELLS {
+            let message = format!("this is no table: the row has {cells} cells; at most {MOST_CELLS} are read");
+            return Err(Error::usage(message).at(&path, line + 1, None).help("each row needs a line of its own"));
+        }
     }
     // A quotation mark that nothing closes takes the last line end, too.
     let text = text + "\n";

@@ -14,6 +14,9 @@ type Mark = (usize, usize);
 /// Deepest accepted nesting. It bounds the work that a hostile file can cause.
 const DEEPEST: usize = 64;
 
+/// Most values of a document, lists and maps among them: each takes some hundred bytes while it is read.
+const MOST_VALUES: usize = 250_000;
+
 /// Where a value stands, and its key; in a list both are the same.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Marks {
@@ -257,6 +260,9 @@ fn places(text: &str) -> Result<BTreeMap<Vec<PathItem>, Marks>, Refusal> {
                     None => {}
                 }
                 places.insert(path.clone(), Marks { key, value: mark });
+                if places.len() > MOST_VALUES {
+                    return refuse(mark, format!("{MOST_VALUES} values stand before this one; more are not read"));
+                }
                 match event {
                     Event::SequenceStart(..) | Event::MappingStart(..) if frames.len() == DEEPEST => {
                         return refuse(mark, too_deep());

@@ -329,8 +329,9 @@ impl<'a> Records<'a> {
         loop {
             // Before the comments and blank lines that `csv` skips.
             let from = self.reader.position().byte() as usize;
-            let is_row = self.reader.read_record(&mut self.cells).map_err(wrong)?;
             let start = from + skipped(self.text.get(from..).unwrap_or(""));
+            self.no_row_beyond_measure(from, start)?;
+            let is_row = self.reader.read_record(&mut self.cells).map_err(wrong)?;
             let line = self.line + newlines(self.text.get(self.start..from).unwrap_or(""));
             let comments = self.text.get(from..start).unwrap_or("");
             for (at, comment) in comments.split('\n').enumerate() {
@@ -348,12 +349,7 @@ impl<'a> Records<'a> {
             }
             let found = self.cells.len();
             if found > MOST_CELLS {
-                return Err(match self.width {
-                    Some(width) => ragged(self.path, self.line, found, width),
-                    None => Error::data(format!("the row has {found} cells; at most {MOST_CELLS} are read"))
-                        .at(self.path, self.line, None)
-                        .help("is it a table? each row needs a line of its own"),
-                });
+                return Err(self.too_wide(self.line, found));
             }
             self.width.get_or_insert(found);
             // A superfluous quotation mark makes such a cell; it would contain several rows.
@@ -449,6 +445,34 @@ impl<'a> Records<'a> {
             let message = format!("the row has {} cells, and none for `{}`", self.cells.len(), column.header.header);
             Error::data(message).at(self.path, self.line, None).help(RAGGED)
         })
+    }
+
+    /// Refuses a row of far too many cells before any is made of it: each would take room.
+    fn no_row_beyond_measure(&self, from: usize, start: usize) -> Result<()> {
+        let rest = self.text.get(start..).unwrap_or("");
+        let row = &rest[..rest.find('\n').unwrap_or(rest.len())];
+        // Separators within quotation marks separate nothing.
+        if row.len() <= MOST_CELLS || row.contains('"') {
+            return Ok(());
+        }
+        let found = match self.separator {
+            Separator::Space => row.split_whitespace().count(),
+            separator => row.matches(separator.character()).count() + 1,
+        };
+        if found <= MOST_CELLS {
+            return Ok(());
+        }
+        let before = newlines(self.text.get(self.start..from).unwrap_or("")) + newlines(&self.text[from..start]);
+        Err(self.too_wide(self.line + before, found))
+    }
+
+    fn too_wide(&self, line: usize, found: usize) -> Error {
+        match self.width {
+            Some(width) => ragged(self.path, line, found, width),
+            None => Error::data(format!("the row has {found} cells; at most {MOST_CELLS} are read"))
+                .at(self.path, line, None)
+                .help("is it a table? each row needs a line of its own"),
+        }
     }
 
     /// Points at a cell of the current row.
