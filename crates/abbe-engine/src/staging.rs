@@ -166,8 +166,11 @@ pub(crate) fn exclusive_access(folder: &Path) -> Option<File> {
 pub fn temporary_folder(parent: &Path) -> io::Result<(tempfile::TempDir, Option<File>)> {
     // Nobody takes the new folder for an abandoned one before it has its lock.
     let _access = exclusive_access(parent);
-    // In a folder that may not be listed nothing can be found.
-    let _ = remove_abandoned(parent);
+    match remove_abandoned(parent) {
+        // In a folder that may not be listed nothing can be found.
+        Err(error) if error.kind() == io::ErrorKind::PermissionDenied => {}
+        removed => removed?,
+    }
     let folder = temporary(parent)?;
     let lock = locked(folder.path());
     Ok((folder, lock))

@@ -73,11 +73,23 @@ fn unreadable(path: &Path, error: &io::Error) -> Error {
     })
 }
 
+/// Bytes that tell whether a file is a library, and how one begins: on Linux, on Windows, on macOS for one processor and for several.
+const HEAD: u64 = 4;
+const LIBRARIES: [&[u8]; 4] = [b"\x7fELF", b"MZ", b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe"];
+
 /// Opens a library and hashes it; refuses one that is not what `pin` says.
 pub(crate) fn hashed(path: &Path, pin: Option<&str>) -> Result<Hashed> {
     let mut file = open_library(path)?;
     let mut bytes = Vec::new();
-    file.read_to_end(&mut bytes).map_err(|error| unreadable(path, &error))?;
+    let failed = |error: io::Error| unreadable(path, &error);
+    Read::by_ref(&mut file).take(HEAD).read_to_end(&mut bytes).map_err(failed)?;
+    // A large file that is something else is not read.
+    if !LIBRARIES.iter().any(|start| bytes.starts_with(start)) {
+        let message =
+            format!("the plugin library {} cannot be loaded: it does not begin as a library does", path.display());
+        return Err(Error::usage(message).help("name the library that `cargo build` made of the plugin"));
+    }
+    file.read_to_end(&mut bytes).map_err(failed)?;
     if truncated(&bytes) {
         let message =
             format!("the plugin library {} cannot be loaded: the file is shorter than it says", path.display());
@@ -133,7 +145,11 @@ impl Hashed {
     /// Its copy in memory. Elsewhere than on Linux it is the file itself.
     pub fn sealed(self, path: &Path) -> Result<Sealed> {
         let file = sealed(&self).map_err(|error| {
-            Error::data(format!("the plugin library {} cannot be copied into memory: {error}", path.display()))
+            Error::data(format!(
+                "the plugin library {} cannot be copied into memory: {}",
+                path.display(),
+                abbe_files::why(&error)
+            ))
         })?;
         Ok(Sealed { file, sha256: self.sha256 })
     }

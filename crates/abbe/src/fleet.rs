@@ -89,9 +89,9 @@ pub enum Asked {
 /// How often, and how long.
 #[derive(Args)]
 pub struct Tries {
-    /// How often a job that failed is tried again.
-    #[arg(long, default_value_t = 2)]
-    retries: usize,
+    /// How often a job that failed is tried again, 100 times at most.
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u16).range(0..=100))]
+    retries: u16,
     /// Time limit of a job, seconds. A job that takes longer is ended.
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     time_limit: Option<Duration>,
@@ -200,7 +200,7 @@ impl Asked {
 
 impl Tries {
     fn limits(&self, workers: usize) -> Limits {
-        Limits { workers, retries: self.retries, time_limit: self.time_limit }
+        Limits { workers, retries: usize::from(self.retries), time_limit: self.time_limit }
     }
 }
 

@@ -57,6 +57,13 @@ impl Drop for TemporaryFolder {
     }
 }
 
+/// What is said where nothing can be written into a temporary folder.
+pub fn no_temporary_file(error: io::Error) -> Error {
+    let folder = std::env::temp_dir();
+    let message = format!("a temporary file cannot be written to {}: {}", folder.display(), abbe_files::why(&error));
+    Error::data(message).help("make room there, or name another folder in TMPDIR")
+}
+
 /// A temporary file that somebody else makes and removes. As long as this is there, a signal or a time limit that ends the process removes
 /// the file, too.
 pub struct TemporaryFile(PathBuf);

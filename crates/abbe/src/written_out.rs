@@ -73,7 +73,7 @@ impl WrittenOut {
         let unreadable =
             |error| Error::usage(format!("the program cannot be read: {}", abbe_files::why(&error))).in_file(file);
         let prepared = prepare(&read_text(file, LARGEST_RESULT).map_err(unreadable)?, options)?;
-        let failed = |error: std::io::Error| Error::usage(format!("a temporary file cannot be written: {error}"));
+        let failed = interrupt::no_temporary_file;
         let folder = TemporaryFolder::new().map_err(failed)?;
         for (name, text) in
             [("part.ngc", &prepared.program), ("tool.tbl", &prepared.tools), ("part.var", &prepared.parameters)]

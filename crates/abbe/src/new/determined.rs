@@ -11,7 +11,7 @@ use abbe_core::{
 use abbe_engine::{Planned, Prepared, prepare};
 use abbe_kinematics::{NamedAxis, StructuralLoop};
 
-use crate::interrupt::TemporaryFolder;
+use crate::interrupt::{TemporaryFolder, no_temporary_file};
 
 use super::methods::{Choice, turns_about_two};
 use super::texts::{Errors, Recipe, machine};
@@ -55,8 +55,7 @@ struct Trial<'a> {
 
 impl Trial<'_> {
     fn write(&mut self, name: &str, text: String) -> Result<()> {
-        let failed = |error| Error::data(format!("a temporary file cannot be written: {error}"));
-        fs::write(self.folder.path().join(name), &text).map_err(failed)?;
+        fs::write(self.folder.path().join(name), &text).map_err(no_temporary_file)?;
         self.files.insert(PathBuf::from(name), text);
         Ok(())
     }
@@ -92,11 +91,7 @@ pub fn begin(
         let message = format!("a machine with {linear} linear axes cannot bring its tool to all places of an artefact");
         return Err(Error::usage(message).help("`--method poses` takes poses of a target: see docs/robots.md"));
     }
-    let none = |error: std::io::Error| {
-        let message = format!("no temporary folder can be made: {}", abbe_files::why(&error));
-        Error::data(message).help("TMPDIR says where such folders are made")
-    };
-    let folder = TemporaryFolder::new().map_err(none)?;
+    let folder = TemporaryFolder::new().map_err(no_temporary_file)?;
     let at = folder.path().to_owned();
     let trial = Trial { folder, registry, monitor, files: BTreeMap::new() };
     begun(trial, chain, method, controller).map_err(|error| of_user(error, &at, chain))
