@@ -104,7 +104,7 @@ fn in_any_turn(machine: &Machine, count: usize, is_of_points: bool, seed: u64) -
 #[test]
 fn the_law_holds_in_every_turn() {
     for case in cases() {
-        for seed in seeds(40) {
+        for seed in seeds(20) {
             let (machine, settings) = machine_and_settings(&case, seed);
             let export = exporter(case.name, &settings);
             let statuses = in_any_turn(&machine, 100, case.is_of_points, seed + 1);
@@ -119,7 +119,7 @@ fn the_law_holds_in_every_turn() {
 #[test]
 fn there_is_no_step_at_the_wrap() {
     for case in cases() {
-        for seed in seeds(20) {
+        for seed in seeds(10) {
             let (machine, settings) = machine_and_settings(&case, seed);
             let name = rotary(&machine);
             let files =
@@ -152,7 +152,7 @@ fn there_is_no_step_at_the_wrap() {
 #[test]
 fn the_reversal_is_gone_in_every_turn() {
     for case in cases().into_iter().filter(|case| case.has_directions) {
-        for seed in seeds(20) {
+        for seed in seeds(10) {
             let (machine, settings) = machine_and_settings(&case, seed);
             let files =
                 exporter(case.name, &settings).export(&machine.calibration, machine.model.as_ref()).expect("files");

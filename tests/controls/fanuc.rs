@@ -161,7 +161,7 @@ const ROUNDING: f64 = 1e-9;
 #[test]
 fn the_law_holds_at_points() {
     let public = ["table-table", "head-table", "three-axis"].map(Machine::public).into_iter();
-    let random = seeds(100).map(|seed| random::machine(seed, random::Errors::Any));
+    let random = seeds(50).map(|seed| random::machine(seed, random::Errors::Any));
     for (seed, machine) in public.chain(random).enumerate() {
         for (values, sense) in [("added", 1.0), ("subtracted", -1.0)] {
             let export = exporter("fanuc-pitch", &settings(&machine, json!({ "step_mm": 50 }), values));
@@ -178,7 +178,7 @@ fn the_law_holds_at_points() {
 /// Between points the control gives all pulses of a section at once: at most half of them early or late.
 #[test]
 fn between_points_it_is_off_by_half_a_step() {
-    for seed in seeds(50) {
+    for seed in seeds(25) {
         let machine = random::machine(seed, random::Errors::Positioning);
         let mut settings = settings(&machine, json!({ "step_mm": 10 }), "added");
         settings["detection_unit_um"] = json!(0.1);
@@ -208,7 +208,7 @@ fn change(machine: &Machine, driven: &[f64], statuses: &[f64]) -> f64 {
 /// point, where the machine's zero is set. Magnified values are coarser.
 #[test]
 fn positioning_errors_and_reversal_are_corrected() {
-    for seed in seeds(60) {
+    for seed in seeds(30) {
         let machine = random::machine(seed, random::Errors::Positioning);
         let statuses = at_points(&machine, machine.anywhere(100, &[], seed + 1), 50.0);
         for (axis, negative) in
@@ -232,7 +232,7 @@ fn positioning_errors_and_reversal_are_corrected() {
 
 #[test]
 fn magnified_values_are_coarser() {
-    for seed in seeds(20) {
+    for seed in seeds(10) {
         let machine = random::without_reversal(&random::machine(seed, random::Errors::Positioning));
         let statuses = at_points(&machine, machine.anywhere(100, &[], seed + 1), 50.0);
         let mut settings = settings(&machine, json!({ "step_mm": 50 }), "added");
@@ -258,7 +258,7 @@ fn from_other_side(machine: &Machine, statuses: &[f64]) -> Vec<f64> {
 /// A rotary axis comes to the same angle from both sides, up to one unit at the radius of the tool.
 #[test]
 fn rotary_axes_are_corrected() {
-    for seed in seeds(50) {
+    for seed in seeds(25) {
         let machine = random::machine(seed, random::Errors::Rotary);
         let statuses = at_points(&machine, machine.anywhere(100, &[], seed + 1), 50.0);
         let mut settings = settings(&machine, json!({}), "added");
@@ -283,7 +283,7 @@ fn rotary_axes_are_corrected() {
 
 #[test]
 fn compensation_that_is_active_is_added() {
-    for seed in seeds(20) {
+    for seed in seeds(10) {
         let machine = random::machine(seed, random::Errors::Any);
         let other = random::machine_like(seed, seed + 1000);
         let folder = crate::support::temporary();

@@ -38,7 +38,7 @@ impl Control for Grbl {
 
 #[test]
 fn scales_are_right_after_the_steps_of_grbl() {
-    for seed in seeds(100) {
+    for seed in seeds(50) {
         let machine = Machine::random("three-axis", seed + 1);
         let mut uniform = uniform(seed);
         let present = [0, 1, 2].map(|_| (20.0 + 800.0 * uniform()).round() / 4.0);

@@ -160,7 +160,7 @@ fn steps(step: f64, format: &str) -> Value {
 #[test]
 fn grids_correct_what_they_predict() {
     for (name, still) in MACHINES {
-        for seed in seeds(30) {
+        for seed in seeds(15) {
             let machine = if seed == 0 { Machine::public(name) } else { Machine::random(name, seed) };
             let statuses = machine.anywhere(60, still, seed + 7);
             let format = if seed % 2 == 0 { "csv" } else { "vtk" };
@@ -201,7 +201,7 @@ fn grids_over_a_rotary_axis_correct_the_tip() {
 fn grids_that_are_active_are_added() {
     let folder = crate::support::temporary();
     let path = folder.path().join("corrections.csv");
-    for seed in seeds(20) {
+    for seed in seeds(10) {
         let (machine, other) = (Machine::random("three-axis", seed + 1), Machine::random("three-axis", seed + 1000));
         let old_points = json!({ "X": 3, "Y": 2, "Z": 2 });
         let before = exporter("grid", &json!({ "grid": { "points": old_points } }));

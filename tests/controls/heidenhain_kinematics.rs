@@ -277,7 +277,7 @@ fn the_public_machines_are_corrected() {
 /// Errors of all kinds but reversal: what stays is the interpolation between points and the last of four decimals (degrees: 0.9 µrad).
 #[test]
 fn random_machines_are_corrected() {
-    for seed in seeds(60) {
+    for seed in seeds(30) {
         let machine = random::machine(seed, random::Errors::Smooth);
         let [found, turned] = law(&machine, 100.0, seed, 1e-7);
         assert!(found.after < 2e-3 + 0.02 * found.before && found.before > 0.01, "machine {seed}: {found:?}");
@@ -288,7 +288,7 @@ fn random_machines_are_corrected() {
 /// With reversal, the mean of both directions is written: less is left, and what is left is predicted.
 #[test]
 fn reversal_stays() {
-    for seed in seeds(40) {
+    for seed in seeds(20) {
         for errors in [random::Errors::Any, random::Errors::OfOneAxis] {
             let machine = random::machine(seed, errors);
             let [found, turned] = law(&machine, 100.0, seed, 1e-7);
@@ -301,7 +301,7 @@ fn reversal_stays() {
 /// Displaced rotary axes alone: four decimals of mm and nothing else.
 #[test]
 fn places_of_rotary_axes_are_corrected_to_the_digits_of_the_table() {
-    for seed in seeds(60) {
+    for seed in seeds(30) {
         let (table, head): (&[&str], &[&str]) = match seed % 3 {
             0 => (&["A", "C"], &[]),
             1 => (&["C"], &["B"]),
@@ -318,7 +318,7 @@ fn places_of_rotary_axes_are_corrected_to_the_digits_of_the_table() {
 fn files_that_are_active_are_added() {
     let folder = crate::support::temporary();
     let mut added = 0;
-    for seed in seeds(20) {
+    for seed in seeds(10) {
         let machine = random::machine(seed, random::Errors::Smooth);
         let other = random::machine_of(seed, random::Errors::Smooth, seed + 1000);
         let export = exporter("heidenhain-kinematics", &settings(100.0, true));

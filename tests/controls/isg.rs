@@ -107,7 +107,7 @@ fn settings(machine: &Machine, tables: Value, sense: &str) -> Value {
 #[test]
 fn the_law_holds() {
     let public = ["table-table", "head-table", "three-axis"].map(Machine::public).into_iter();
-    let random = seeds(100).map(|seed| random::machine(seed, random::Errors::Any));
+    let random = seeds(50).map(|seed| random::machine(seed, random::Errors::Any));
     for (seed, machine) in public.chain(random).enumerate() {
         for (sense, sign) in [("positive", 1.0), ("negative", -1.0)] {
             let tables = json!({ "step_mm": 50, "cross": cross(&machine) });
@@ -129,7 +129,7 @@ fn cross(machine: &Machine) -> Vec<Value> {
 /// Where axes have no other errors, nothing is left but interpolation and the digits of the file.
 #[test]
 fn positioning_errors_are_corrected() {
-    for seed in seeds(100) {
+    for seed in seeds(50) {
         let machine = random::machine(seed, random::Errors::Positioning);
         let statuses = machine.anywhere(100, &[], seed + 1);
         for step in [75.0, 10.0] {

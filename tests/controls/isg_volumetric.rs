@@ -271,7 +271,7 @@ fn tables_correct_the_public_machines() {
 /// over eight, for points every 20 mm or 5 degrees.
 #[test]
 fn tables_correct_random_machines() {
-    for seed in seeds(20) {
+    for seed in seeds(10) {
         let machine = random::machine(seed, random::Errors::Smooth);
         let found = law(&machine, seed + 1);
         assert!(found.after < 5e-4 && found.before > 0.01, "machine {seed}: {found:?}");
@@ -282,7 +282,7 @@ fn tables_correct_random_machines() {
 #[test]
 fn tables_that_are_active_are_added() {
     let folder = crate::support::temporary();
-    for seed in seeds(20) {
+    for seed in seeds(10) {
         let machine = random::machine(seed, random::Errors::Smooth);
         let other = random::machine_of(seed, random::Errors::Smooth, seed + 1000);
         let [old_format, new_format] =

@@ -190,7 +190,7 @@ fn settings(kinematics: &Kinematics) -> Value {
 /// Forward and inverse kinematics belong to each other, and turn about the lines that the pins name.
 #[test]
 fn the_emulated_kinematics_of_linuxcnc_turn_about_their_pins() {
-    for seed in seeds(60) {
+    for seed in seeds(30) {
         let (_, kinematics) = random(seed, Errors::Places);
         let mut uniform = uniform(seed);
         let joints = [(); 3].map(|()| 600.0 * uniform() - 300.0);
@@ -218,7 +218,7 @@ fn law(seed: u64, errors: Errors) -> [Left; 2] {
 
 #[test]
 fn places_of_rotary_axes_are_corrected_to_the_digits_of_the_pins() {
-    for seed in seeds(90) {
+    for seed in seeds(45) {
         let [found, turned] = law(seed, Errors::Places);
         assert!(found.before > 5e-3 && found.after < 5e-6, "{seed}: {found:?}");
         assert!(turned.after > 1.5 * found.before, "{seed}: {turned:?}");
@@ -227,7 +227,7 @@ fn places_of_rotary_axes_are_corrected_to_the_digits_of_the_pins() {
 
 #[test]
 fn what_the_pins_cannot_hold_is_left_as_predicted() {
-    for seed in seeds(60) {
+    for seed in seeds(30) {
         law(seed, Errors::Axes);
         law(seed, Errors::All);
     }

@@ -202,7 +202,7 @@ fn the_model_in_c_is_that_of_random_machines() {
     if no_compiler("linuxcnc_kinematics_random") {
         return;
     }
-    for seed in seeds(24) {
+    for seed in seeds(12) {
         let errors = [random::Errors::Smooth, random::Errors::Any][seed as usize % 2];
         let machine = random::machine(seed, errors);
         let rotary = machine.model.info().axes.len() - 3;

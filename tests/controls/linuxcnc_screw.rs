@@ -66,7 +66,7 @@ fn the_control_does_what_was_measured() {
 #[test]
 fn the_law_holds() {
     let public = ["table-table", "head-table", "three-axis"].map(Machine::public).into_iter();
-    let random = seeds(100).map(|seed| random::machine(seed, random::Errors::Any));
+    let random = seeds(50).map(|seed| random::machine(seed, random::Errors::Any));
     for (seed, machine) in public.chain(random).enumerate() {
         for kind in [0, 1] {
             let settings = json!({ "type": kind, "axes": ["X", "Y", "Z"] });
@@ -80,7 +80,7 @@ fn the_law_holds() {
 /// Where axes have no other errors, nothing is left but interpolation.
 #[test]
 fn positioning_errors_are_corrected() {
-    for seed in seeds(100) {
+    for seed in seeds(50) {
         let machine = random::machine(seed, random::Errors::Positioning);
         let statuses = machine.anywhere(100, &[], seed + 1);
         for step in [75.0, 10.0] {

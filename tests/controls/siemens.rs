@@ -141,7 +141,7 @@ fn the_law_holds_on_public_machines() {
 
 #[test]
 fn the_law_holds_on_random_machines() {
-    for seed in seeds(100) {
+    for seed in seeds(50) {
         let machine = random::machine(seed, random::Errors::Any);
         let export = exporter("siemens-tables", &settings(&machine, json!({ "step_mm": 50 })));
         let statuses = machine.anywhere(60, &[], seed + 1);
@@ -152,7 +152,7 @@ fn the_law_holds_on_random_machines() {
 /// Where every error depends on one axis only, nothing is left but interpolation, and finer steps leave less of it.
 #[test]
 fn what_depends_on_one_axis_is_corrected() {
-    for seed in seeds(40) {
+    for seed in seeds(20) {
         let machine = random::machine(seed, random::Errors::OfOneAxis);
         let statuses = machine.anywhere(100, &[], seed + 1);
         let left = [100.0, 20.0].map(|step| {
@@ -170,7 +170,7 @@ fn what_depends_on_one_axis_is_corrected() {
 /// A rotary axis stands where it should: what is left are digits of the file at the radius of the tool.
 #[test]
 fn rotary_axes_are_corrected() {
-    for seed in seeds(50) {
+    for seed in seeds(25) {
         let machine = random::machine(seed, random::Errors::Rotary);
         let statuses = machine.anywhere(100, &[], seed + 1);
         let tables =

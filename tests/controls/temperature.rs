@@ -278,7 +278,7 @@ fn left(warming: &Warming, name: &str, settings: &Value, seed: u64, sense: f64) 
 fn temperature_tables_correct_machines_that_warm_up() {
     for (name, sense, finest) in [("siemens-temperature", "subtracted", 2e-6), ("isg-temperature", "added", 4e-4)] {
         let mut largest = [0.0_f64; 4];
-        for seed in seeds(30) {
+        for seed in seeds(15) {
             let warming = warming(seed);
             let numbers = match name {
                 "siemens-temperature" => json!({ "machine_axes": { "X": "AX1", "Y": "AX2", "Z": "AX3" } }),
