@@ -281,24 +281,20 @@ fn touches_far_from_their_facets_are_told() {
 #[test]
 fn a_facet_with_the_touches_of_another_one_is_told() {
     let (copied, onto) = ("26", "24");
-    {
-        let (folder, mut recipe) = (temporary(), Variant::of(&recipes()["first-steps"]));
-        let file = with_rows(&recipe.path("touches", "path"), folder.path(), &|header, rows| {
-            let feature = place(header, "feature");
-            let mut others: Vec<Vec<String>> = rows.iter().filter(|row| row[feature] == copied).cloned().collect();
-            others.reverse();
-            for row in rows.iter_mut().filter(|row| row[feature] == onto) {
-                let Some(other) = others.pop() else { break };
-                for column in
-                    (0..header.len()).filter(|column| !["touch", "time_s"].contains(&header[*column].as_str()))
-                {
-                    row[column].clone_from(&other[column]);
-                }
-                row[feature] = onto.to_owned();
+    let (folder, mut recipe) = (temporary(), Variant::of(&recipes()["first-steps"]));
+    let file = with_rows(&recipe.path("touches", "path"), folder.path(), &|header, rows| {
+        let feature = place(header, "feature");
+        let mut others: Vec<Vec<String>> = rows.iter().filter(|row| row[feature] == copied).cloned().collect();
+        others.reverse();
+        for row in rows.iter_mut().filter(|row| row[feature] == onto) {
+            let Some(other) = others.pop() else { break };
+            for column in (0..header.len()).filter(|column| !["touch", "time_s"].contains(&header[*column].as_str())) {
+                row[column].clone_from(&other[column]);
             }
-        });
-        recipe.stage("touches")["path"] = json!(file);
-        let said = run(&recipe).1;
-        assert!(said.contains(&format!("feature {onto} was touched at the nominal place of {copied}")), "{said}");
-    }
+            row[feature] = onto.to_owned();
+        }
+    });
+    recipe.stage("touches")["path"] = json!(file);
+    let said = run(&recipe).1;
+    assert!(said.contains(&format!("feature {onto} was touched at the nominal place of {copied}")), "{said}");
 }
