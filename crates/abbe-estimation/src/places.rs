@@ -119,24 +119,19 @@ fn elsewhere(places: &[Vector3<f64>], touches: &[Touch]) -> Vec<Elsewhere> {
             *elsewhere.entry(other).or_default() += 1;
         }
     }
-    let at = |one: usize, other: usize| {
-        let count = counts.get(&one).map(|(all, elsewhere)| (*all, elsewhere.get(&other).copied().unwrap_or_default()));
-        count.unwrap_or_default()
-    };
     let is_at = |one: usize, other: usize| {
-        let (all, elsewhere) = at(one, other);
-        2 * elsewhere > all
+        let count = counts.get(&one).map(|(all, elsewhere)| (all, elsewhere.get(&other)));
+        count.is_some_and(|(all, elsewhere)| elsewhere.is_some_and(|elsewhere| 2 * elsewhere > *all))
     };
-    let touched: Vec<usize> = counts.keys().copied().collect();
-    let all = touched.iter().flat_map(|one| (0..places.len()).map(move |other| (*one, other)));
-    let found = all.filter_map(|(feature, at_place)| {
-        let is_exchanged = is_at(feature, at_place) && is_at(at_place, feature);
-        let (all, elsewhere) = at(feature, at_place);
-        let is_told = if is_exchanged { feature < at_place } else { all >= ALL && elsewhere == all };
-        is_told.then_some(Elsewhere { feature, at: at_place, is_exchanged })
+    let all =
+        counts.iter().flat_map(|(feature, (all, elsewhere))| elsewhere.iter().map(move |at| (*feature, *all, at)));
+    let found = all.filter_map(|(feature, all, (&at, &elsewhere))| {
+        let is_exchanged = is_at(feature, at) && is_at(at, feature);
+        let is_told = if is_exchanged { feature < at } else { all >= ALL && elsewhere == all };
+        is_told.then_some(Elsewhere { feature, at, is_exchanged })
     });
     let found: Vec<Elsewhere> = found.collect();
-    let is_told = touched.len() >= FEWEST && found.len() as f64 <= (FEW * touched.len() as f64).max(1.0);
+    let is_told = counts.len() >= FEWEST && found.len() as f64 <= (FEW * counts.len() as f64).max(1.0);
     if is_told { found } else { Vec::new() }
 }
 

@@ -75,8 +75,8 @@ pub fn are_different(named: &[(&str, &Path)]) -> Result<()> {
     Ok(())
 }
 
-/// Writes a file whole or not at all, in the place of an earlier one, whose permissions it takes; what else was linked to that is not touched. A
-/// link stays one.
+/// Writes a file whole or not at all, in the place of an earlier one, whose permissions it takes; what else was linked to that is not
+/// touched. A link stays one.
 pub fn replace(file: &Path, content: &str) -> Result<()> {
     replace_all([(file.to_owned(), content)])
 }
