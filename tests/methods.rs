@@ -157,3 +157,27 @@ fn without_bar_and_radii_the_scale_is_lost() {
     let of = |name: &str| fit(&outcome, name).calibration.get("EXX[1]").expect("estimated").standard_uncertainty;
     assert!(of("fit-without-bar") > 1.4 * of("fit"));
 }
+
+/// Heights of a cylinder's facets that are off change no uncertainty: touches are taken where they lie along the axis.
+#[test]
+fn wrong_heights_of_facets_on_a_cylinder_change_no_uncertainty() {
+    let recipe = || Variant::of(&recipes()["cylinder-kx8"]).only(&["fit-S1"]);
+    let uncertainties = |recipe: &Variant| -> Vec<(String, f64)> {
+        let outcome = recipe.run();
+        let estimated =
+            fit(&outcome, "fit-S1").calibration.parameters.iter().filter(|own| own.status == Status::Estimated);
+        estimated.map(|own| (own.name.clone(), own.standard_uncertainty)).collect()
+    };
+    let nominal = recipe().path("s1", "nominal");
+    let right = uncertainties(&recipe());
+    let (folder, mut wrong) = (crate::support::temporary(), recipe());
+    // The facets 1 to 6, which are those round the cylinder.
+    let moved = |row: usize, cell: &str| if row < 6 { format!("-{cell}") } else { cell.to_owned() };
+    let file = crate::misread::changed(&nominal, folder.path(), "z_mm", moved);
+    wrong.stage("s1")["nominal"] = serde_json::json!(file);
+    let found = uncertainties(&wrong);
+    assert_eq!(found.len(), right.len());
+    for ((name, found), (_, right)) in found.iter().zip(&right) {
+        assert!((found / right - 1.0).abs() < 0.02, "{name}: {found} {right}");
+    }
+}

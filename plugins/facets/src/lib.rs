@@ -336,7 +336,7 @@ struct Touches {
 }
 
 impl Touches {
-    /// Where each touch lies beside the nominal point, in the plane of its facet, by the nominal machine, mm. Zero for all touches of a
+    /// Where each touch lies beside the nominal point, in the plane of its facet or along its cylinder, by the nominal machine, mm. Zero for all touches of a
     /// facet that were aimed at its point. Computed when it is asked for: an estimate passes its rows many times and needs it once.
     fn beside(&self) -> &[Vector3<f64>] {
         self.beside.get_or_init(|| beside(&self.facets, &self.facet_of_row, &self.info.layout, self.model.as_ref()))
@@ -355,7 +355,11 @@ fn beside(facets: &[Facet], of_rows: &[usize], layout: &Layout, model: &dyn Kine
         let Facet { point, normal, curved, .. } = &facets[facet];
         let from_point = Vector3::from(*tip) - point;
         let beside = from_point - from_point.dot(normal) * normal;
-        if curved.is_none() { beside } else { Vector3::zeros() }
+        match curved {
+            None => beside,
+            // Along the axis of a cylinder its equation does not ask for the place; round it, and on a sphere, the point is where it is.
+            Some(Surface { axis, .. }) => axis.map_or(Vector3::zeros(), |axis| axis.dot(&beside) * axis),
+        }
     };
     let mut all: Vec<Vector3<f64>> = of_rows.iter().zip(&poses.positions).map(beside).collect();
     let mut is_aimed_at = vec![true; facets.len()];
