@@ -336,8 +336,9 @@ struct Touches {
 }
 
 impl Touches {
-    /// Where each touch lies beside the nominal point, in the plane of its facet or along its cylinder, by the nominal machine, mm. Zero for all touches of a
-    /// facet that were aimed at its point. Computed when it is asked for: an estimate passes its rows many times and needs it once.
+    /// Where each touch lies beside the nominal point, in the plane of its facet or along the axis of its cylinder, by the nominal
+    /// machine, mm. Zero for all touches of a facet that were aimed at its point. Computed when it is asked for: an estimate passes its
+    /// rows many times and needs it once.
     fn beside(&self) -> &[Vector3<f64>] {
         self.beside.get_or_init(|| beside(&self.facets, &self.facet_of_row, &self.info.layout, self.model.as_ref()))
     }
@@ -357,7 +358,7 @@ fn beside(facets: &[Facet], of_rows: &[usize], layout: &Layout, model: &dyn Kine
         let beside = from_point - from_point.dot(normal) * normal;
         match curved {
             None => beside,
-            // Along the axis of a cylinder its equation does not ask for the place; round it, and on a sphere, the point is where it is.
+            // The equation of a cylinder does not ask for the place along its axis. Round it, and on a sphere, the nominal point counts.
             Some(Surface { axis, .. }) => axis.map_or(Vector3::zeros(), |axis| axis.dot(&beside) * axis),
         }
     };
