@@ -10,7 +10,8 @@ use abbe_core::{Dataset, Error, Result};
 use abbe_files::Packing;
 
 use crate::layout::{Encoding, Layout};
-use crate::parse::{Head, cells, dataset, no_lost_row};
+use crate::lost_rows::no_lost_row;
+use crate::parse::{Head, cells, dataset};
 use crate::text::{BYTE_ORDER_MARK, LONGEST_LINE, NO_LINE_END, text, text_of_part};
 use crate::unpacking::{Part, Unpacking};
 use crate::{bytes_of, unreadable};

@@ -10,6 +10,7 @@
 mod batches;
 mod columns;
 mod layout;
+mod lost_rows;
 mod number;
 mod parse;
 mod rewrite;

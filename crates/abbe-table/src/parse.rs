@@ -7,6 +7,7 @@ use std::path::Path;
 use abbe_core::{Class, Column, ColumnHeader, Dataset, Error, Quantity, Result, RowOrigin, Values};
 
 use crate::layout::{Encoding, Layout, Separator, Unit};
+use crate::lost_rows::no_lost_row;
 use crate::number::{help_for, number_in_column, shown};
 use crate::text::{newlines, read_line, text};
 use crate::{empty_column, unreadable};
@@ -493,23 +494,6 @@ fn other_separator(header: &csv::StringRecord, expected: Separator) -> Option<(&
     };
     let mut others = Separator::ALL.into_iter().filter(|(separator, ..)| *separator != expected);
     others.find(|(_, character, ..)| separates(*character)).map(|(_, _, name, setting)| (name, setting))
-}
-
-/// What spreadsheets (in English, German and French) write into a cell without a value, and which begins as a comment does.
-const WITHOUT_VALUE: [&str; 15] = [
-    "#N/A", "#NV", "#REF!", "#DIV/0!", "#VALUE!", "#NAME?", "#NUM!", "#NULL!", "#BEZUG!", "#WERT!", "#ZAHL!",
-    "#VALEUR!", "#NOM?", "#NOMBRE!", "#NUL!",
-];
-
-/// Fails for a line that begins with such a cell: it is a row, and would be left out as a comment.
-pub(crate) fn no_lost_row(path: &Path, line: usize, comment: &str) -> Result<()> {
-    let ends = |rest: &str| !rest.starts_with(|next: char| next.is_alphanumeric() || next == ' ');
-    match WITHOUT_VALUE.into_iter().find(|cell| comment.strip_prefix(cell).is_some_and(ends)) {
-        None => Ok(()),
-        Some(cell) => Err(Error::data(format!("the line begins with `{cell}`, a cell without a value"))
-            .at(path, line, None)
-            .help("lines that begin with # are comments: take the row out, or put another column first")),
-    }
 }
 
 /// Length of the comments and empty lines that a text begins with.

@@ -141,6 +141,8 @@ fn a_row_that_begins_as_a_comment_is_not_lost() {
     let path = folder.path().join("t.csv");
     for (text, line) in [
         ("X_mm,Y_mm\n1,2\n#N/A,3\n4,5\n", Some(3)),
+        ("X_mm,Y_mm\n1,2\n#SPILL!,3\n4,5\n", Some(3)),
+        ("X_mm,Y_mm\n1,2\n4,5\n########,3\n", Some(4)),
         ("X_mm,Y_mm\r\n# note\r\n\r\n#DIV/0!,3\r\n4,5\r\n", Some(4)),
         ("X_mm;Y_mm\n1;2\n#NV;3", Some(3)),
         ("X_mm,Y_mm\n1,2\n# NUM! says the sheet\n#N/A values are left out\n#NAME\n#VALUES! of today,1\n3,4\n", None),
