@@ -66,7 +66,7 @@ const NOT_NEGATIVE: [&str; 8] = [
     "stylus_radius",
 ];
 
-/// Smallest standard uncertainties that can be meant, but for none at all, by the end of the name. Of a length this is a picometre: one
+/// Smallest standard uncertainties and tolerances that can be meant, but for none at all, by the end of the name. Of a length this is a picometre: one
 /// that is smaller would let its row alone decide everything.
 const SMALLEST: [(&str, f64); 6] =
     [("_um_per_m", 1e-6), ("_per_K", 1e-12), ("_urad", 1e-3), ("_um", 1e-6), ("_K", 1e-9), ("uncertainty", 1e-30)];
@@ -95,7 +95,8 @@ fn largest(name: &str) -> Option<f64> {
 }
 
 fn smallest(name: &str) -> Option<f64> {
-    let is_one = name.contains("uncertainty") || name.starts_with("standard_u") || name.starts_with("directions_u");
+    let is_one = ["uncertainty", "tolerance"].iter().any(|part| name.contains(part));
+    let is_one = is_one || name.starts_with("standard_u") || name.starts_with("directions_u");
     SMALLEST.iter().find(|(end, _)| is_one && name.ends_with(end)).map(|(_, least)| *least)
 }
 

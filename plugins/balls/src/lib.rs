@@ -132,6 +132,7 @@ struct Distance {
     between: [Label; 2],
     /// Distance of their centres.
     #[serde(default)]
+    #[schemars(range(min = 1e-3, max = 1e6))]
     length_mm: Option<f64>,
     /// Its standard uncertainty.
     #[serde(default)]

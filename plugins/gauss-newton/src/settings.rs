@@ -21,6 +21,7 @@ pub struct Settings {
     pub prefer: Vec<String>,
     /// Singular values below this part of the largest count as zero; columns have norm 1.
     #[serde(default = "default_tolerance")]
+    #[schemars(range(min = 1e-15, max = 1.0))]
     pub rank_tolerance: f64,
     /// Selection of parameters: those that are not significant are left out.
     #[serde(default)]

@@ -25,6 +25,7 @@ pub fn material(largest_expansion: f64) -> Option<&'static str> {
 #[allow(non_snake_case)] // Settings end in their unit.
 pub struct ArtefactSettings {
     /// Largest length over which the artefact is probed.
+    #[schemars(range(min = 1e-3, max = 1e6))]
     pub length_mm: f64,
     /// Half the range of the temperature: the temperature stays within plus and minus this value.
     pub temperature_half_range_degC: f64,

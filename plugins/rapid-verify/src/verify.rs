@@ -62,7 +62,7 @@ struct Settings {
 #[serde(deny_unknown_fields, default)]
 struct Healthy {
     /// One reading by itself: probing, resolution.
-    #[schemars(range(min = 0, max = 10000))]
+    #[schemars(range(min = 1e-6, max = 10000))]
     point_um: f64,
     /// Position of the artefact, in each direction.
     #[schemars(range(min = 0, max = 10000))]

@@ -19,6 +19,7 @@ pub struct Settings {
     pub changed: Vec<Changed>,
     /// Singular values below this part of the largest count as zero; columns have norm 1.
     #[serde(default = "default_rank_tolerance")]
+    #[schemars(range(min = 1e-15, max = 1.0))]
     pub rank_tolerance: f64,
 }
 

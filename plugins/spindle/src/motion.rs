@@ -59,6 +59,7 @@ pub struct Motion {
     /// Speeds that were set: a run is called by the nearest one, and one that is off by more than 5 % is refused. Without
     /// them it is called by its speed in three digits, and a time in another unit may not be seen.
     #[serde(default)]
+    #[schemars(inner(range(min = 1e-3, max = 1e6)))]
     pub speeds_rpm: Vec<f64>,
     /// Slowest and fastest speed of a run where none is stated.
     #[serde(default = "plausible_rpm")]

@@ -13,6 +13,7 @@ use crate::settings::quantity;
 #[allow(non_snake_case, reason = "units are written as in column names")]
 pub struct Reference {
     /// Its length.
+    #[schemars(range(min = 1e-3, max = 1e6))]
     length_mm: f64,
     /// What its length has to be known to, from the smallest to the largest value.
     tolerance_um: f64,

@@ -23,6 +23,7 @@ pub struct Settings {
     pub time_constants: Option<usize>,
     /// First guesses of the time constants. Without them several are tried.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schemars(inner(range(min = 1e-3, max = 1e8)))]
     pub time_constants_s: Vec<f64>,
     /// `prediction`: leaves out inputs and time constants without which readings that a fit has not seen are predicted as well.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -77,6 +77,7 @@ pub struct Master {
     /// Its number in the log.
     pub tool: Label,
     /// Its calibrated length.
+    #[schemars(range(min = 1e-3, max = 1e5))]
     pub length_mm: f64,
     /// Its calibrated radius.
     pub radius_mm: f64,

@@ -16,6 +16,7 @@ pub struct Cyclic {
     /// Motion errors of linear axes by ISO 230-1 symbol, e.g. EXX; `?` and `*` are wildcards.
     pub cyclic: Vec<String>,
     /// The way in which the error repeats.
+    #[schemars(range(min = 1e-3, max = 1e4))]
     pub pitch_mm: f64,
     /// The orders, from 1 to 99; order 2 is twice per pitch. Order 1 alone if this is left out.
     #[serde(default = "once", skip_serializing_if = "is_once")]

@@ -18,6 +18,7 @@ pub struct Load {
     pub load: Vec<String>,
     /// The load to which the coefficients refer.
     #[serde(rename = "reference_N")]
+    #[schemars(range(min = 1e-3, max = 1e7))]
     pub reference_n: f64,
     /// Distance of the twisted guideway from the centre of the table, along z: a load at the guideway has no effect.
     /// If it is missing, the error does not depend on the position of the load.
