@@ -35,6 +35,10 @@ const BESIDE: usize = 5;
 /// Part of the way of an axis to the next row by which it moves at the first or the last row of a run; with less it turns there.
 const TURNS: f64 = 0.25;
 
+/// Times of the usual way from row to row, and mm, beyond which axes jump; and the times of it by which they have come back to their path.
+const JUMPS: (f64, f64) = (10.0, 1.0);
+const BACK: f64 = 3.0;
+
 /// Rows are at one place if they are no further apart than this, mm.
 const AT_ONE_PLACE: f64 = 1e-9;
 
@@ -76,6 +80,12 @@ impl Motion {
         let mut stays = vec![false; data.rows()];
         for rows in self.runs(data).map_err(|error| wrong(error, "runs"))? {
             let path = Path::new(&rows, &positions);
+            if let Some((place, off)) = path.beside() {
+                let message = format!("the axes are {off:.1} mm beside the path of the rows around this one");
+                return Err(data
+                    .error_at(DataRow(path.rows[place]), message)
+                    .help("look for a lost sign, a wrong unit or a wrong column; a row that is not of the run has to be taken out"));
+            }
             let speeds = match (stated, times) {
                 (Some(feed), _) => path.rows.iter().map(|row| feed[*row]).collect(),
                 (_, Some(times)) => path.speeds(times).map_err(|row| {
@@ -144,6 +154,22 @@ impl Path {
             ways[place] = ways[place - 1] + chord * bulge(&tangents[place - 1], &tangents[place]);
         }
         Self { rows: kept, points, tangents, ways }
+    }
+
+    /// The first place to which the axes jump from their path and from which they jump back to it, with its distance from the path, mm.
+    /// A jump to another path, or to the first row of a run, is none.
+    fn beside(&self) -> Option<(usize, f64)> {
+        let steps: Vec<f64> = self.points.windows(2).map(|pair| length(&between(&pair[0], &pair[1]))).collect();
+        let mut sorted = steps.clone();
+        sorted.sort_by(f64::total_cmp);
+        let usual = *sorted.get(sorted.len() / 2)?;
+        let is_jump = |step: &usize| steps[*step] > (JUMPS.0 * usual).max(JUMPS.1);
+        let jumps: Vec<usize> = (0..steps.len()).filter(is_jump).collect();
+        jumps.windows(2).find_map(|jumps| {
+            let &[away, back] = jumps else { return None };
+            let apart = length(&between(&self.points[away], &self.points[back + 1]));
+            (apart <= BACK * usual * (back + 1 - away) as f64).then(|| (away + 1, steps[away]))
+        })
     }
 
     /// The way of an axis from one row to the next.

@@ -119,3 +119,40 @@ fn what_is_wrong_is_told() {
     assert!(told(Motion { runs: "cycle".to_owned(), ..motion(0.0) }, &mut circle(0, 20)).contains("cycle"));
     assert!(told(motion(-1.0), &mut circle(0, 20)).contains("from 0 to 1e6"));
 }
+
+/// A position with a lost sign, in another unit or beyond the travel is no reversal, also where several rows have it.
+#[test]
+fn rows_beside_their_path_are_refused() {
+    // Circles in uneven steps, lines there and back, arcs with a gap between them: none of them jumps away and back.
+    for from in (-180..180).step_by(7) {
+        assert!(motion(5.0).add(&mut circle(from, 200)).is_ok(), "{from}");
+    }
+    let there: Vec<f64> = (0..60).map(|k| f64::from(k) * 5.0).collect();
+    let back: Vec<f64> = there.iter().chain(there.iter().rev()).copied().collect();
+    let times: Vec<f64> = (0..120).map(f64::from).collect();
+    let mut both = data(&[("X_mm", back.clone()), ("Y_mm", vec![0.0; 120]), ("time_s", times.clone())], &["1"; 120]);
+    assert!(motion(0.0).add(&mut both).is_ok());
+    let gap: Vec<f64> = (0..120).map(|k| f64::from(k) + if k < 60 { 0.0 } else { 300.0 }).collect();
+    let mut arcs = data(&[("X_mm", gap), ("Y_mm", vec![0.0; 120]), ("time_s", times)], &["1"; 120]);
+    assert!(motion(0.0).add(&mut arcs).is_ok());
+    for (first, count) in (5..300).step_by(11).zip([1, 2, 3, 7].into_iter().cycle()) {
+        for change in [|x: f64| x + 1e4, |x: f64| x / 25.4, |x: f64| -x] {
+            let mut data = circle(20, 320);
+            let Values::Numbers(x) = &mut data.columns[0].values else { panic!("numbers") };
+            let off = (first..first + count).map(|row| (change(x[row]) - x[row]).abs()).fold(f64::MAX, f64::min);
+            (first..first + count).for_each(|row| x[row] = change(x[row]));
+            match motion(20.0).add(&mut data) {
+                Err(error) => {
+                    let message = error.to_string();
+                    let line = format!("circle.csv:{}: the axes are ", first + 2);
+                    assert!(
+                        message.contains(&line) && message.contains("beside the path"),
+                        "{first} {count}: {message}"
+                    );
+                }
+                // A sign hardly counts near zero.
+                Ok(_) => assert!(off < 40.0, "{first} {count}: {off}"),
+            }
+        }
+    }
+}
