@@ -12,7 +12,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::cmm::{Cmm, Placement, Shift, against_cmm, best_placement, differences, rank_remark};
+use crate::cmm::{Cmm, Placement, Shift, against_cmm, best_placement, differences, misread_remark, rank_remark};
 use crate::figures::{Limits, ONE, Sample, UM, check_limits};
 use crate::folds::set_of;
 
@@ -86,23 +86,14 @@ impl ArtefactCmm {
         let matched = cmm.matched(&features)?;
         findings.remarks.extend(matched.left_out.iter().map(|text| format!("{}: {text}", fit.name)));
 
-        let (left, rank) = best_placement(Placement::of(&matched.shifts), |placement| {
-            let left = matched.shifts.iter().map(|shift| values[shift.own] - placement.shift(shift));
-            Ok((left.collect(), matched.shifts.iter().map(|shift| -placement.effect(shift)).collect()))
-        })?;
+        let (left, rank) = placed(&matched.shifts, &values)?;
         findings.remarks.extend(rank_remark(&fit.name, rank));
-        let left = Sample(left.into_iter().map(|left| left * 1e3).collect());
-        let (nominal, _) = best_placement(Placement::of(&nominal(&matched.shifts)), |placement| {
-            let shifts = nominal(&matched.shifts);
-            let left = shifts.iter().map(|shift| values[shift.own] - placement.shift(shift));
-            Ok((left.collect(), shifts.iter().map(|shift| -placement.effect(shift)).collect()))
-        })?;
-        let nominal = Sample(nominal.into_iter().map(|left| left * 1e3).collect());
+        let (nominal, _) = placed(&nominal(&matched.shifts), &values)?;
         let uncertainties = matched.shifts.iter().filter_map(|shift| own_uncertainty(fit, set, shift.own));
         let stated = Sample(uncertainties.map(|u| u * 1e3).collect());
-        findings
-            .remarks
-            .extend(contradiction(&fit.name, &left, &nominal).or_else(|| disagreement(&fit.name, &left, &stated)));
+        let misread = misread_remark(&fit.name, &left, &matched.shifts, |shifts| Ok(placed(shifts, &values)?.0))?;
+        let doubt = misread.or_else(|| contradiction(&fit.name, &left, &nominal));
+        findings.remarks.extend(doubt.or_else(|| disagreement(&fit.name, &left, &stated)));
         let mut figures = differences(&fit.name, &left).to_vec();
         figures.push(Figure::new(&fit.name, "range", left.max() - left.min(), UM));
         if matched.shifts.len() <= rank {
@@ -116,6 +107,16 @@ impl ArtefactCmm {
         findings.figures.push(Figure::new(&fit.name, "features", matched.features as f64, ONE));
         Ok(())
     }
+}
+
+/// What is left of the estimated values of features, µm, after the motion that brings them closest to what was measured; and how many
+/// of the six motions the features tell.
+fn placed(shifts: &[Shift], values: &[f64]) -> Result<(Sample, usize)> {
+    let (left, rank) = best_placement(Placement::of(shifts), |placement| {
+        let left = shifts.iter().map(|shift| values[shift.own] - placement.shift(shift));
+        Ok((left.collect(), shifts.iter().map(|shift| -placement.effect(shift)).collect()))
+    })?;
+    Ok((Sample(left.into_iter().map(|left| left * 1e3).collect()), rank))
 }
 
 /// The same features where their nominal points are.

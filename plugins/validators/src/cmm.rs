@@ -264,6 +264,55 @@ pub fn distance_remark(fit: &str, left: &Sample) -> Option<String> {
     })
 }
 
+/// What offsets along normals are multiplied by if they have the other sign or were read in another unit.
+const MISREAD: [(f64, &str); 5] = [
+    (-1.0, "with the other sign"),
+    (25.4, "times 25.4"),
+    (1.0 / 25.4, "divided by 25.4"),
+    (1e3, "times 1000"),
+    (1e-3, "divided by 1000"),
+];
+
+/// Differences from offsets that were read as they stand, µm, from which they are read otherwise, and the part of them that is left then.
+const DOUBTFUL: f64 = 5.0;
+const LEFT: f64 = 0.1;
+
+/// Offsets that tell: six motions bring six of them to whatever was measured.
+const TELLING: usize = 10;
+
+/// The remark about offsets that explain the features far better with another sign or in another unit. `left` finds the differences in
+/// µm for such offsets, after a placement that takes six motions at most.
+pub fn misread_remark(
+    fit: &str,
+    as_read: &Sample,
+    shifts: &[Shift],
+    left: impl Fn(&[Shift]) -> Result<Sample>,
+) -> Result<Option<String>> {
+    let are_offsets = shifts.iter().all(|shift| shift.plane) && shifts.len() >= TELLING;
+    if !are_offsets || as_read.rms() <= DOUBTFUL {
+        return Ok(None);
+    }
+    let mut best: Option<(f64, &str)> = None;
+    for (factor, words) in MISREAD {
+        let other = |shift: &Shift| Shift {
+            measured: factor * shift.measured,
+            found: shift.point + shift.direction * (factor * shift.measured),
+            ..shift.clone()
+        };
+        let rms = left(&shifts.iter().map(other).collect::<Vec<_>>())?.rms();
+        if rms < best.map_or(LEFT * as_read.rms(), |(least, _)| least) {
+            best = Some((rms, words));
+        }
+    }
+    Ok(best.map(|(rms, words)| {
+        format!(
+            "{fit}: with the offsets of the CMM file {words} the differences fall from {:.1} µm to {rms:.1} µm (RMS): are their sign and \
+             unit right?",
+            as_read.rms()
+        )
+    }))
+}
+
 /// The findings of `judge` on every fit, against what the CMM measured.
 pub fn against_cmm(
     file: &Path,

@@ -12,7 +12,9 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::cmm::{Cmm, Placement, Shift, against_cmm, best_placement, differences, distance_remark, rank_remark};
+use crate::cmm::{
+    Cmm, Placement, Shift, against_cmm, best_placement, differences, distance_remark, misread_remark, rank_remark,
+};
 use crate::figures::{Limits, ONE, Sample, UM, check_limits, outliers};
 use crate::folds::{Fold, Folds, TrainedFit, contained, default_column, own_unknown, reduced, set_of, trained};
 
@@ -132,7 +134,8 @@ impl TipCmm {
         }
         let (residuals, rank) = place(&cases, &matched.shifts)?;
         findings.remarks.extend(rank_remark(&fit.name, rank));
-        findings.remarks.extend(distance_remark(&fit.name, &residuals));
+        let misread = misread_remark(&fit.name, &residuals, &matched.shifts, |shifts| Ok(place(&cases, shifts)?.0))?;
+        findings.remarks.extend(misread.or_else(|| distance_remark(&fit.name, &residuals)));
         findings.figures.extend(differences(&fit.name, &residuals));
         findings.figures.extend([
             Figure::new(&fit.name, "rms", residuals.rms(), UM),
