@@ -56,7 +56,7 @@ struct Seen<'a> {
 
 /// What is hard to believe of some fits, one remark for each thing: all on the scatter first, then those of the next kind.
 pub(crate) fn doubts(all: &[Fit]) -> Vec<Remark> {
-    let kinds: [fn(&Seen<'_>) -> Vec<String>; 13] = [
+    let kinds: [fn(&Seen<'_>) -> Vec<String>; 14] = [
         |seen| understated(seen.fit).into_iter().collect(),
         |seen| overstated(seen.fit).into_iter().collect(),
         |seen| too_good(seen.fit).into_iter().collect(),
@@ -70,6 +70,7 @@ pub(crate) fn doubts(all: &[Fit]) -> Vec<Remark> {
         |seen| contradicted(seen).into_iter().collect(),
         |seen| disagreeing(seen.fit).into_iter().collect(),
         |seen| misstated(seen.fit),
+        |seen| seen.fit.calibration.fit.remarks.clone(),
     ];
     let of_fits = in_parallel(all, None, |fit| {
         let residuals = fit.problem.residuals(&fit.problem.values_of(&fit.calibration)).unwrap_or_default();

@@ -378,8 +378,12 @@ impl UncertaintyEvaluation {
         };
         let (reduced, propagation) = rows.propagated(&extended, x, scales);
         self.check_redundancy(&statistics, count, &propagation)?;
-        let told =
-            Told { radial_rms: residuals.radial_rms(), equivalent_motion_errors: Vec::new(), variance: Vec::new() };
+        let told = Told {
+            radial_rms: residuals.radial_rms(),
+            equivalent_motion_errors: Vec::new(),
+            variance: Vec::new(),
+            remarks: Vec::new(),
+        };
         let iteration = (solved.iterations, Some(solved.last_step), Some(solved.gradient_cosine));
         let fit = self.report(problem, found, &statistics, iteration, told);
         let covariance = propagation.covariance(&reduced);

@@ -39,6 +39,7 @@
 //! **Architecture invariant:** this crate does no I/O and knows no plugin.
 
 mod aliasing;
+mod as_recorded;
 mod beside;
 mod calibration;
 mod causes;

@@ -8,6 +8,7 @@ use abbe_core::{
 };
 use abbe_numerics::{Directions, Factor, Robust, RobustReport, counted_scatter_factor};
 
+use crate::as_recorded::told_by_nominal_places;
 use crate::calibration::calibration;
 use crate::contact::{is_judged_as_recorded, rank_point};
 use crate::equivalent_motion_errors::equivalent_motion_errors;
@@ -86,6 +87,7 @@ pub(crate) struct Told {
     pub radial_rms: Option<f64>,
     pub equivalent_motion_errors: Vec<EquivalentMotionError>,
     pub variance: Vec<VarianceFactor>,
+    pub remarks: Vec<String>,
 }
 
 impl UncertaintyEvaluation {
@@ -109,11 +111,17 @@ impl UncertaintyEvaluation {
         // Rows with weight zero give no information. Rows with a reduced weight still do.
         let kept: Option<Vec<f64>> =
             (report.as_ref()).map(|report| report.weights.iter().map(|weight| f64::from(*weight > 0.0)).collect());
-        let factor = match factor.filter(|_| is_judged_as_recorded(problem) && kept.is_none()) {
-            Some(factor) => factor,
-            None => Weighted::new(&judged)?.factor(&x, kept.as_deref())?,
+        let is_recorded = is_judged_as_recorded(problem);
+        let (factor, recorded) = match factor {
+            Some(factor) if is_recorded && kept.is_none() => (factor, None),
+            recorded => (Weighted::new(&judged)?.factor(&x, kept.as_deref())?, recorded),
         };
-        let ((found, root), residuals) = match lost {
+        let determined = lost.as_ref().map(|lost| lost.determined.clone());
+        let root_of = |factor: &Factor| match &determined {
+            Some(determined) => determined.covariance_root(factor),
+            None => factor.covariance_root(rank),
+        };
+        let (found, residuals) = match lost {
             None => {
                 let (found, residuals) = both(|| self.identifiability(problem, &factor), || problem.residuals(&x));
                 let found = match kept.as_ref().filter(|kept| found.rank == rank && kept.contains(&0.0)) {
@@ -128,7 +136,7 @@ impl UncertaintyEvaluation {
                     let error = confounded(&separated(problem, found));
                     return Err(kept.map_or_else(|| error.clone(), |kept| left_out(problem, &kept, &error)));
                 }
-                ((found, factor.covariance_root(rank)), residuals)
+                (found, residuals)
             }
             Some(RankDeficiency { found, determined }) => {
                 // Rows that weigh nothing may have told more.
@@ -140,10 +148,15 @@ impl UncertaintyEvaluation {
                 let weakest =
                     if self.explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() };
                 let found = Identifiability { observations: factor.rows(), condition, weakest, ..found };
-                ((found, determined.covariance_root(&factor)), problem.residuals(&x))
+                (found, problem.residuals(&x))
             }
         };
-        let residuals = residuals?;
+        let (root, residuals) = (root_of(&factor), residuals?);
+        let mut remarks = Vec::new();
+        if self.explained && !is_recorded {
+            let recorded = recorded.map_or_else(|| weighted.factor(&x, kept.as_deref()), Ok)?;
+            remarks.extend(told_by_nominal_places(problem, &root, &root_of(&recorded)));
+        }
         let in_uncertainties = weighted.in_uncertainties(residuals.clone());
         let constraints = Constraints::new(&judged, &x, &root)?;
         let quantities = problem.quantities();
@@ -161,6 +174,7 @@ impl UncertaintyEvaluation {
             radial_rms: radial_rms(problem, &residuals, is_used),
             equivalent_motion_errors: if self.explained { equivalent_motion_errors(problem)? } else { Vec::new() },
             variance: components.map_or_else(Vec::new, |found| found.named(problem)),
+            remarks,
         };
         let fit = self.report(problem, found, &statistics, (iterations, last_step, gradient_cosine), told);
         let mut calibration = calibration(problem, &x, propagation.covariance(problem), outliers, fit);
@@ -219,6 +233,7 @@ impl UncertaintyEvaluation {
             radial_rms: residuals.radial_rms(),
             equivalent_motion_errors: Vec::new(),
             variance: components.map_or_else(Vec::new, |found| found.named(problem)),
+            remarks: Vec::new(),
         };
         let fit = self.report(problem, found, &statistics, (iterations, last_step, gradient_cosine), told);
         let mut calibration = calibration(problem, &x, propagation.covariance(problem), sums.outliers, fit);
@@ -296,6 +311,7 @@ impl UncertaintyEvaluation {
             agreement: None,
             statuses: BTreeMap::new(),
             known_degrees_of_freedom: BTreeMap::new(),
+            remarks: told.remarks,
         }
     }
 

@@ -302,6 +302,11 @@ impl CovarianceRoot {
         (0..n).map(|row| (0..n).map(|column| entry(row, column)).collect()).collect()
     }
 
+    /// Standard uncertainties of the unknowns, in their units: the roots of the diagonal of the covariance.
+    pub fn standard_uncertainties(&self) -> Vec<f64> {
+        (0..self.0.nrows()).map(|row| norm_of((0..self.0.ncols()).map(|k| self.0[(row, k)]))).collect()
+    }
+
     /// `j (J^T J)^-1 j^T` of rows j, one after another: their leverages if they had weight 1.
     pub fn leverages(&self, rows: &[f64]) -> Vec<f64> {
         let n = self.0.nrows();

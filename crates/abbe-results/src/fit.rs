@@ -286,6 +286,9 @@ pub struct FitReport {
     /// Degrees of freedom of parameters that were known from an earlier estimate, where they are finite.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub known_degrees_of_freedom: BTreeMap<String, f64>,
+    /// What to know before the estimates are trusted.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub remarks: Vec<String>,
 }
 
 fn is_zero(number: &usize) -> bool {
@@ -327,6 +330,7 @@ impl FitReport {
             ordinary_covariance: None,
             statuses: BTreeMap::new(),
             known_degrees_of_freedom: BTreeMap::new(),
+            remarks: Vec::new(),
         }
     }
 }

@@ -137,6 +137,7 @@ impl System {
             agreement: None,
             statuses: BTreeMap::new(),
             known_degrees_of_freedom: BTreeMap::new(),
+            remarks: Vec::new(),
         };
         Ok(calibration(problem, x, self.covariance(&standard, scale), Vec::new(), fit))
     }

@@ -163,6 +163,7 @@ impl Sequential {
             rank_tolerance: Some(self.settings.rank_tolerance),
             agreement: Some(agreement),
             known_degrees_of_freedom: BTreeMap::new(),
+            remarks: Vec::new(),
             ..FitReport::without_rows(problem.unknowns.len())
         })
     }

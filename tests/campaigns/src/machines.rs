@@ -277,7 +277,12 @@ fn false_alarms(fit: &Fit) -> Vec<String> {
     let residuals = fit.problem.residuals(&fit.problem.values_of(&fit.calibration)).unwrap_or_default();
     let gathered = gathered_outliers(&fit.problem, &fit.calibration, &residuals);
     let spoiled = doubtful_row(&fit.problem).filter(|_| fit.calibration.outliers.is_empty());
-    told.chain(compared).chain(gathered).chain(spoiled).map(|remark| format!("false alarm: {remark}")).collect()
+    told.chain(compared)
+        .chain(gathered)
+        .chain(spoiled)
+        .chain(fit.calibration.fit.remarks.clone())
+        .map(|remark| format!("false alarm: {remark}"))
+        .collect()
 }
 
 /// Parameters that are called estimated although residuals in nominal contact do not change when they change a lot.
