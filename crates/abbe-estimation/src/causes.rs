@@ -76,6 +76,10 @@ fn of_table(problem: &Problem, name: &str, numbers: &[(String, f64)]) -> Vec<(St
     places.filter(|(_, place)| *place != 0.0).chain(settings).collect()
 }
 
+/// Part of a length that is too much if mm were taken for inches, and how much better than the length itself it has to fit.
+const TOO_MUCH: f64 = 1.0 - 1.0 / 25.4;
+const PLAINER: f64 = 5.0;
+
 /// What a length is as large as among the numbers of the set-up.
 fn cause(size: f64, numbers: &[(String, f64)]) -> Option<String> {
     let ways = [
@@ -83,13 +87,15 @@ fn cause(size: f64, numbers: &[(String, f64)]) -> Option<String> {
         (2.0, "twice, as with a wrong sign of,"),
         (HALF, "half, as with a diameter for a radius in,"),
         (24.4, "what is missing if inches were taken for mm in"),
-        (1.0 - 1.0 / 25.4, "what is too much if mm were taken for inches in"),
+        (TOO_MUCH, "what is too much if mm were taken for inches in"),
     ];
     let mut best: Option<(f64, String)> = None;
     for (factor, way) in ways {
         for (name, number) in numbers {
             let may_be = factor != HALF || name.contains("radius");
             let off = (size.abs() / (number.abs() * factor) - 1.0).abs();
+            // Hardly less than the number itself is that number, unless it fits far better.
+            let off = if factor == TOO_MUCH { off * PLAINER } else { off };
             if may_be && off < ALIKE && best.as_ref().is_none_or(|(least, _)| off < *least) {
                 best = Some((off, format!("{way} `{name}` ({number} mm)")));
             }

@@ -60,6 +60,9 @@ fn digits(problem: &Problem, stage: &str, channel: &str) -> f64 {
 /// Most channels that are named.
 const NAMED: usize = 5;
 
+/// The same where only one channel is left that is read as stated.
+const OF_ONE: f64 = 0.06;
+
 /// Channels with far less noise from row to row than all others of their instrument: their readings are in another unit. What a model
 /// lacks is in the residuals of all channels, and is mostly smooth. `residuals` are those of the fit, mm or rad. Sentences, one a channel.
 pub fn quiet_channels(problem: &Problem, residuals: &[f64]) -> Vec<String> {
@@ -67,20 +70,26 @@ pub fn quiet_channels(problem: &Problem, residuals: &[f64]) -> Vec<String> {
     for ((stage, file), channels) in of_channels(problem, residuals) {
         let noises: Option<Vec<f64>> = channels.iter().map(|(_, own)| Some(row_noise(own)?.size)).collect();
         let Some(noises) = noises else { continue };
-        for (place, (channel, _)) in channels.iter().enumerate() {
-            let others = || noises.iter().enumerate().filter(|(other, _)| *other != place).map(|(_, noise)| *noise);
-            let (own, least) = (noises[place], others().fold(f64::MAX, f64::min));
-            let most = (OF_OTHERS * least).min(OF_STATED);
-            // What its digits hide may be there.
-            let is_quiet = own < most && own > EXACT && own + digits(problem, stage, channel) < most;
-            if is_quiet && others().all(|noise| AS_STATED.contains(&noise)) {
-                found.push(format!(
-                    "the residuals of `{channel}` of {stage} in `{}` scatter from row to row by {own:.3} of what is stated, those of the \
-                     other channels {least:.2} times or more: is the unit of this channel right?",
-                    file.display()
-                ));
-            }
+        let others: Vec<f64> = noises.iter().copied().filter(|noise| AS_STATED.contains(noise)).collect();
+        let least = others.iter().copied().fold(f64::MAX, f64::min);
+        let part = if others.len() > 1 || noises.len() == 2 { OF_OTHERS } else { OF_ONE };
+        let most = (part * least).min(OF_STATED);
+        // What its digits hide may be there.
+        let is_quiet = |(own, (channel, _)): &(&f64, &(String, Vec<f64>))| {
+            **own < most && **own > EXACT && **own + digits(problem, stage, channel) < most
+        };
+        let quiet: Vec<_> = noises.iter().zip(&channels).filter(is_quiet).collect();
+        // Noise of one that is larger than stated is no noise, and leaves nothing to compare with.
+        if others.is_empty() || noises.iter().any(|noise| *noise >= AS_STATED.end) {
+            continue;
         }
+        found.extend(quiet.into_iter().map(|(own, (channel, _))| {
+            format!(
+                "the residuals of `{channel}` of {stage} in `{}` scatter from row to row by {own:.3} of what is stated, those of the \
+                 other channels {least:.2} times or more: is the unit of this channel right?",
+                file.display()
+            )
+        }));
     }
     found.truncate(NAMED);
     found

@@ -140,6 +140,9 @@ fn tilted_probe(problem: &Problem) -> Option<String> {
 /// Median distance from nominal contact that is told, mm: features are where they should be within a millimetre.
 const MISSED: f64 = 1.0;
 
+/// The same of a quarter of the rows, mm: a tool of another length shows where it is touched along it.
+const MISSED_BY_A_QUARTER: f64 = 2.5;
+
 /// The same of a tenth of the rows, mm: a wrong place or direction of a rotary axis shows only where that is turned.
 const MISSED_BY_MANY: f64 = 10.0;
 
@@ -153,22 +156,32 @@ pub fn missed(problem: &Problem) -> Vec<String> {
     let mut of_sets: BTreeMap<SetIndex, Vec<f64>> = BTreeMap::new();
     let mut of_files: BTreeMap<(SetIndex, &Path), Vec<f64>> = BTreeMap::new();
     for ((residual, _), (set, row)) in equations.filter(|((_, quantity), _)| *quantity == Quantity::Length) {
-        of_sets.entry(set).or_default().push(residual.abs());
+        of_sets.entry(set).or_default().push(*residual);
         let layout = &problem.sets[set].info().layout;
         let origin = layout.rows[row].data_row.map(|row| layout.data.origins[row]);
         if let Some(file) = origin.and_then(|origin| layout.data.files.get(origin.file)) {
-            of_files.entry((set, file)).or_default().push(residual.abs());
+            of_files.entry((set, file)).or_default().push(*residual);
         }
     }
-    let sentence = |of: String, (median, largest): (f64, f64)| {
+    let sentence = |of: String, Missed { median, largest, is_one }: Missed| {
+        let cause = match is_one {
+            true => {
+                "all rows alike, as with another radius of the stylus or of what is touched, or, where all is touched from one side, \
+                 another length or place"
+            }
+            false => "a sign, a unit, a length or a place may be wrong",
+        };
         format!(
-            "{of}: at the recorded positions the nominal machine is {median:.1} mm away from contact (median; {largest:.1} mm at most): a \
-             sign, a unit, a length or a place may be wrong"
+            "{of}: at the recorded positions the nominal machine is {} mm away from contact (median; {} mm at most): {cause}",
+            short(median),
+            short(largest)
         )
     };
     let mut remarks = Vec::new();
     for (set, sizes) in of_sets {
         let name = &problem.sets[set].name;
+        let is_touched = problem.sets[set].info().contact == Contact::LinearAxes;
+        let far = |sizes: Vec<f64>| far(sizes).map(|missed| Missed { is_one: missed.is_one && is_touched, ..missed });
         if let Some(sizes) = far(sizes) {
             remarks.push(sentence(name.clone(), sizes));
             continue;
@@ -180,12 +193,34 @@ pub fn missed(problem: &Problem) -> Vec<String> {
     remarks
 }
 
-/// Median and largest of distances from contact, if they are too far.
-fn far(mut sizes: Vec<f64>) -> Option<(f64, f64)> {
+/// Tenths of a millimetre, or three digits of what is no distance.
+fn short(distance: f64) -> String {
+    if distance < 1e6 { format!("{distance:.1}") } else { format!("{distance:.2e}") }
+}
+
+/// Distances from contact that are too far, mm.
+struct Missed {
+    median: f64,
+    largest: f64,
+    /// Whether all are the same, on the same side.
+    is_one: bool,
+}
+
+/// Part of their median within which distances from contact are the same, and the fewest that tell.
+const ALIKE: f64 = 0.1;
+const SEVERAL: usize = 6;
+
+/// How far these distances from contact, mm, positive to one side, are; none if that is not too far.
+fn far(distances: Vec<f64>) -> Option<Missed> {
+    let mut sizes: Vec<f64> = distances.iter().map(|distance| distance.abs()).collect();
     sizes.sort_by(f64::total_cmp);
     let (median, largest) = (*sizes.get(sizes.len() / 2)?, *sizes.last()?);
-    let of_many = *sizes.get(sizes.len() * 9 / 10)?;
-    (median > MISSED || of_many > MISSED_BY_MANY).then_some((median, largest))
+    let [of_quarter, of_many] = [*sizes.get(sizes.len() * 3 / 4)?, *sizes.get(sizes.len() * 9 / 10)?];
+    let is_alike = |distance: &f64| (distance.abs() - median).abs() < ALIKE * median;
+    let is_one = distances.len() >= SEVERAL
+        && distances.iter().all(|distance| is_alike(distance) && distance.signum() == distances[0].signum());
+    let is_far = median > MISSED || of_quarter > MISSED_BY_A_QUARTER || of_many > MISSED_BY_MANY;
+    is_far.then_some(Missed { median, largest, is_one })
 }
 
 /// Own unknowns of the set-up ([`ParameterRole::SetUp`]) that are neither estimated nor known from an earlier estimate: their

@@ -1,5 +1,8 @@
 //! The scatter of repeats, pooled over groups (Rahman 2016, section 5.6).
 
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
 use abbe_core::{DataRow, Error, LabelText, Layout, PooledRepeatability, Result, RowIndex};
 
 use crate::row_settings::PooledRepeats;
@@ -115,6 +118,25 @@ fn groups(settings: &PooledRepeats, repeats: &Layout, known: &[Repetition]) -> R
     Ok(groups.collect())
 }
 
+/// The first file of which one repetition has another number of rows than the other, if both have rows of the same files.
+fn shorter(
+    (one, rows): (&Layout, &[RowIndex]),
+    (other, others): (&Layout, &[RowIndex]),
+) -> Option<(PathBuf, usize, usize)> {
+    let of_files = |layout: &Layout, rows: &[RowIndex]| {
+        let mut counts: BTreeMap<PathBuf, usize> = BTreeMap::new();
+        for data_row in rows.iter().filter_map(|&row| layout.rows[row].data_row) {
+            let file = layout.data.files.get(layout.data.origins[data_row].file).cloned().unwrap_or_default();
+            *counts.entry(file).or_default() += 1;
+        }
+        counts
+    };
+    let (expected, found) = (of_files(one, rows), of_files(other, others));
+    let are_same = expected.len() > 1 && expected.keys().eq(found.keys());
+    let mut counts = expected.into_iter().zip(found.into_values()).filter(|_| are_same);
+    counts.find(|((_, expected), found)| expected != found).map(|((file, expected), found)| (file, found, expected))
+}
+
 /// Refuses repetitions whose rows do not measure the same in the same order.
 fn same_rows((one, rows): (&Layout, &[RowIndex]), (other, others): (&Layout, &[RowIndex])) -> Result<()> {
     let data_row = |layout: &Layout, row: RowIndex| layout.rows[row].data_row.unwrap_or_default();
@@ -133,6 +155,11 @@ fn same_rows((one, rows): (&Layout, &[RowIndex]), (other, others): (&Layout, &[R
         }
     }
     if rows.len() != others.len() {
+        // What a repetition measured stands in several files: the one that lacks rows is named.
+        if let Some((file, found, expected)) = shorter((one, rows), (other, others)) {
+            let message = format!("a repetition has {found} rows of this file; the first one has {expected}");
+            return Err(Error::data(message).in_file(&file));
+        }
         let last = others.last().map_or(DataRow(0), |&row| data_row(other, row));
         let message = format!("a repetition with {} rows ends here; the first one has {}", others.len(), rows.len());
         return Err(other.data.error_at(last, message));

@@ -32,7 +32,8 @@ pub fn contradicted_by_order(problem: &Problem) -> Vec<String> {
         let (is_touched, runs) = (set.info().contact == Contact::LinearAxes, runs(set));
         let directed = directed(problem, is_touched);
         let of_order = exchanged_directions(&directed, &runs, is_touched)
-            .or_else(|| against_directions(&directed, &runs, is_touched));
+            .or_else(|| against_directions(&directed, &runs, is_touched))
+            .or_else(|| against_in_a_file(set, &directed, &runs, is_touched));
         sentences.extend(of_order.map(|words| format!("{}: {words}", set.name)));
         if !is_touched {
             sentences.extend(against_angles(problem, set, &runs).map(|words| format!("{}: {words}", set.name)));
@@ -126,6 +127,22 @@ fn against_directions(directed: &[(&Axis, usize)], runs: &[Vec<Passed<'_>>], is_
     let names = named.collect::<Vec<_>>().join(", ");
     (!names.is_empty()).then(|| {
         format!("from row to row the axes move against {names}: are the signs turned? Backlash then gets a wrong value")
+    })
+}
+
+/// The same of the rows of one of several files.
+fn against_in_a_file(
+    set: &ObservationSet,
+    directed: &[(&Axis, usize)],
+    runs: &[Vec<Passed<'_>>],
+    is_touched: bool,
+) -> Option<String> {
+    let data = &set.info().layout.data;
+    let file_of = |run: &Vec<Passed<'_>>| run.first().map(|(row, _)| data.origins[*row].file);
+    runs.chunk_by(|one, next| file_of(one) == file_of(next)).find_map(|runs| {
+        let words = against_directions(directed, runs, is_touched)?;
+        let file = data.files.get(file_of(runs.first()?)?)?;
+        Some(format!("in `{}` {words}", file.display()))
     })
 }
 

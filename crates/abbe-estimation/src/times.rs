@@ -29,13 +29,28 @@ pub fn falling_times(data: &Dataset, rows: impl IntoIterator<Item = DataRow>) ->
         return Some("the time falls from row to row: its sign, or the order of the rows, may be wrong".to_owned());
     }
     let of_file = |one: &DataRow, next: &DataRow| data.origins[*one].file == data.origins[*next].file;
-    let files = rows.chunk_by(of_file).filter(|rows| rows.len() > STEPS);
-    files.filter_map(|rows| falls_somewhere(data, rows, times)).next()
+    let files = || rows.chunk_by(of_file).filter(|rows| rows.len() > STEPS);
+    let fallen = files().find(|rows| falls_in_each_run(data, rows, times)).and_then(|rows| {
+        let file = data.files.get(data.origins[rows[0]].file)?;
+        Some(format!(
+            "in `{}` the time falls from row to row: its sign, or the order of the rows, may be wrong",
+            file.display()
+        ))
+    });
+    fallen.or_else(|| files().find_map(|rows| falls_somewhere(data, rows, times)))
 }
 
 fn falls_always(rows: &[DataRow], times: &[f64]) -> bool {
     let time = |row: Option<&DataRow>| row.map(|row| times[*row]);
     time(rows.first()) > time(rows.last()) && rows.windows(2).all(|pair| times[pair[1]] <= times[pair[0]])
+}
+
+/// Whether the times of the rows of a file fall all along each of its runs, by their labels; those that stand alone say nothing.
+fn falls_in_each_run(data: &Dataset, rows: &[DataRow], times: &[f64]) -> bool {
+    let labels = data.labels("run");
+    let of_run = |one: &DataRow, next: &DataRow| labels.is_none_or(|labels| labels[*one] == labels[*next]);
+    let runs: Vec<&[DataRow]> = rows.chunk_by(of_run).filter(|run| run.len() > 2).collect();
+    runs.iter().map(|run| run.len()).sum::<usize>() > STEPS && runs.iter().all(|run| falls_always(run, times))
 }
 
 fn falls_somewhere(data: &Dataset, rows: &[DataRow], times: &[f64]) -> Option<String> {

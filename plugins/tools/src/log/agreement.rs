@@ -87,7 +87,9 @@ impl Log<'_> {
             }
             for (place, (session, values)) in visits.iter().enumerate() {
                 if let Some((earlier, _)) = visits[..place].iter().find(|(_, others)| others == values) {
-                    copied.entry(*tool).or_insert((*session, *earlier, 0)).2 += values.len();
+                    // Repeats that are all the same agree by chance once, not several times.
+                    let different: BTreeSet<u64> = values.iter().map(|value| value.to_bits()).collect();
+                    copied.entry(*tool).or_insert((*session, *earlier, 0)).2 += different.len();
                 }
             }
         }
