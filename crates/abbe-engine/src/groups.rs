@@ -201,7 +201,9 @@ fn timed(by: &str, labels: &[String]) -> Vec<Group> {
         sorted.sort_by(f64::total_cmp);
         sorted.windows(2).all(|pair| pair[0] < pair[1])
     };
-    let times = times.filter(is_unique);
+    // What is no number of weeks or days is a label like others.
+    let is_time = |times: &Vec<f64>| times.iter().all(|time| time.abs() < LONGEST);
+    let times = times.filter(is_unique).filter(is_time);
     let unit = if times.is_some() { unit } else { "test" };
     let at = |place: usize| times.as_ref().map_or(place as f64 + 1.0, |times| times[place]);
     let group = |(place, label): (usize, &String)| Group {
@@ -212,6 +214,9 @@ fn timed(by: &str, labels: &[String]) -> Vec<Group> {
     };
     labels.iter().enumerate().map(group).collect()
 }
+
+/// Numbers of weeks, days and tests are below this one.
+const LONGEST: f64 = 1e9;
 
 /// Days from 1970-01-01 to a date as `2026-03-02` (Hinnant, chrono-compatible low-level date algorithms, 2021).
 pub fn day_of(label: &str) -> Option<f64> {

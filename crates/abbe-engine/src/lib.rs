@@ -18,6 +18,7 @@ mod groups;
 mod in_order;
 mod kept;
 mod laws;
+mod lengths;
 pub mod number;
 mod outcome;
 mod parts;

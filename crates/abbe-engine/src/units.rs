@@ -4,6 +4,7 @@ use abbe_core::ranges::AT_REST;
 use abbe_core::{Dataset, Quantity};
 
 use crate::circles::contradicted_angles;
+use crate::lengths::{stands, two_references};
 
 /// How far a sensor in °F is from the others at most, once it is converted, K: parts of a machine at rest.
 const ALIKE: f64 = 8.0;
@@ -16,7 +17,8 @@ const MINUTE: f64 = 60.0;
 
 /// What is doubtful in the columns of a data set, in words.
 pub(crate) fn doubts(data: &Dataset) -> Vec<String> {
-    [likely_fahrenheit(data), likely_turned(data), contradicted_angles(data)].into_iter().flatten().collect()
+    let kinds = [likely_fahrenheit, likely_turned, contradicted_angles, two_references, stands];
+    kinds.into_iter().filter_map(|doubt| doubt(data)).collect()
 }
 
 /// Columns of temperatures that begin as no machine at rest does, and would if they were in °F, in words.
@@ -47,16 +49,19 @@ fn likely_fahrenheit(data: &Dataset) -> Option<String> {
     ))
 }
 
-/// How much colder than all others a sensor below zero is at least, K.
+/// How much colder than all others a sensor below zero is at least, K, and how much warmer one that cannot be: a spindle that was stopped
+/// shortly before is less warm.
 const COLDER: f64 = 20.0;
+const WARMER: f64 = 65.0;
 
-/// A sensor that begins below zero while all others begin as a machine at rest does, in words; or all of them, where those of a machine at
-/// rest with turned signs do.
+/// A sensor that begins below zero, or far above the others, while all others begin as a machine at rest does, in words; or all of them,
+/// where those of a machine at rest with turned signs do.
 fn likely_turned(data: &Dataset) -> Option<String> {
     let columns = data.columns.iter().filter(|column| column.header.quantity == Quantity::Temperature);
     let first = |name: &str| data.numbers(name)?.iter().copied().find(|value| value.is_finite());
     let firsts = columns.filter_map(|column| Some((column.header.name.as_str(), first(&column.header.name)?)));
-    let (cold, others): (Vec<_>, Vec<_>) = firsts.partition(|(_, value)| *value < 0.0);
+    let firsts: Vec<(&str, f64)> = firsts.collect();
+    let (cold, others): (Vec<_>, Vec<_>) = firsts.iter().copied().partition(|(_, value)| *value < 0.0);
     if let ([(name, value), ..], []) = (&cold[..], &others[..])
         && cold.iter().all(|(_, value)| AT_REST.contains(&-value))
     {
@@ -64,15 +69,22 @@ fn likely_turned(data: &Dataset) -> Option<String> {
             "all temperatures begin below 0 °C, as {name} at {value:.1} °C: are their signs turned? A machine at rest is hardly so cold"
         ));
     }
-    let [least, most] = ends(&others.iter().map(|(_, value)| *value).collect::<Vec<f64>>())?;
-    let [(name, value)] = cold[..] else { return None };
-    let is_odd = AT_REST.contains(&least) && AT_REST.contains(&most) && value < least - COLDER;
-    is_odd.then(|| {
-        format!(
-            "{name} begins at {value:.1} °C, and the other temperatures from {least:.1} to {most:.1} °C: is the sensor broken, or is its \
-             sign turned?"
-        )
-    })
+    let mut odd = (0..firsts.len()).filter_map(|place| {
+        let (name, value) = firsts[place];
+        let others: Vec<f64> =
+            (0..firsts.len()).filter(|other| *other != place).map(|other| firsts[other].1).collect();
+        let [least, most] = ends(&others)?;
+        let is_cold = value < 0.0 && value < least - COLDER;
+        let is_odd = AT_REST.contains(&least) && AT_REST.contains(&most) && (is_cold || value > most + WARMER);
+        is_odd.then(|| {
+            let cause = if is_cold { "is its sign turned" } else { "is it in another unit" };
+            format!(
+                "{name} begins at {value:.1} °C, and the other temperatures from {least:.1} to {most:.1} °C: is the sensor broken, or \
+                 {cause}?"
+            )
+        })
+    });
+    odd.next()
 }
 
 fn celsius(fahrenheit: f64) -> f64 {
@@ -150,7 +162,8 @@ mod tests {
             assert!(told(&of(-firsts[2])).is_some_and(|told| told.starts_with("Tc begins at -")), "{firsts:?}");
             // Cool water, and a warm spindle.
             assert_eq!(told(&of(4.0)), None);
-            assert_eq!(told(&of(80.0)), None);
+            assert_eq!(told(&of(room + 60.0)), None);
+            assert!(told(&of(room + 70.0)).is_some_and(|told| told.starts_with("Tc begins at ")), "{firsts:?}");
             let turned: Vec<f64> = firsts.iter().map(|value| -value).collect();
             assert!(told(&turned).is_some_and(|told| told.contains("are their signs turned?")), "{firsts:?}");
         }

@@ -103,6 +103,9 @@ const SEVERAL: usize = 8;
 /// Factor by which uncertainties of files are misstated at least where those of most others agree better.
 const ALIKE: f64 = 1.25;
 
+/// The same factor where there are two files, of which nobody knows which is the usual one.
+const OF_TWO: f64 = 8.0;
+
 /// Files whose agreement is known are within this many times the spread of the others.
 const SPREADS: f64 = 5.0;
 
@@ -123,13 +126,15 @@ pub(super) fn too_bad(seen: &Seen<'_>) -> Vec<String> {
         values.sort_by(f64::total_cmp);
         values.get(values.len() / 2).copied().unwrap_or(0.0)
     };
-    // Data that are better than stated, or exact, make no other file worse.
-    let usual = median(files.values().map(|own| own.rms()).collect()).max(1.0);
+    // Data that are better than stated, or exact, make no other file worse. Of two files the better one says what is usual.
+    let all = files.values().map(|own| own.rms());
+    let usual = if files.len() == 2 { all.fold(f64::MAX, f64::min) } else { median(all.collect()) }.max(1.0);
     let deviations = files.values().filter(|own| own.count >= TELLING).map(|own| (own.rms() / usual).ln().abs());
     let deviations: Vec<f64> = deviations.collect();
     let misstated = match deviations.len() >= SEVERAL {
         // 1.4826 times the median of deviations is the standard deviation of normal ones.
         true => (SPREADS * 1.4826 * median(deviations)).exp().clamp(ALIKE, MISSTATED),
+        false if files.len() == 2 => OF_TWO,
         false => MISSTATED,
     };
     let mut found: Vec<(&str, &Path, Residuals)> = files
