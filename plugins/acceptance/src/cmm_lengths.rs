@@ -34,7 +34,7 @@ abbe_core::register!(
 struct Lengths {
     /// Distance of the stylus tip from the ram: E0, E150.
     #[serde(default)]
-    #[schemars(range(min = 0, max = 10000))]
+    #[schemars(range(min = 0, max = 1000))]
     stylus_beside_mm: f64,
     /// Maximum permissible error of a length.
     mpe: Mpe,
@@ -308,12 +308,16 @@ impl Lengths {
 
 impl Acceptance for Lengths {
     fn findings(&self, data: &[&Dataset]) -> Result<Findings> {
+        let mut findings = Findings::default();
         let (test, repeats) = match data {
             [test] => (test, Vec::new()),
-            [test, repeats] => (test, measured(repeats)?),
+            [test, repeats] => {
+                let all = measured(repeats)?;
+                findings.remarks.extend(misplaced(&run_name(repeats), repeats, &all));
+                (test, all)
+            }
             _ => return Err(Error::usage("a test and its repeats were expected: two data sets").setting("from")),
         };
-        let mut findings = Findings::default();
         self.judge(test, &repeats, &mut findings)?;
         findings.remarks.push(format!(
             "{EDITION} (its text was not at hand). A choice of this project: up to five sets may have one value outside, each is \

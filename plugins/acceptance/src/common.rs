@@ -173,6 +173,21 @@ enum Way {
     Backwards(usize),
 }
 
+impl Way {
+    /// The row before that this one repeats, if there is one.
+    fn repeated_by(self, row: usize) -> Option<usize> {
+        match self {
+            Self::Forwards(apart) => row.checked_sub(apart),
+            Self::Backwards(sum) => sum.checked_sub(row).filter(|other| *other < row),
+        }
+    }
+}
+
+/// Fewest rows of a run that is another one, and the part of them that are the same: of a machine that repeats within a twentieth of its
+/// digits, nine of ten are.
+const RUN: usize = 100;
+const WHOLE: f64 = 0.99;
+
 /// Part of other readings within one digit of what they would repeat from which on digits are what repeats, and fewest of these.
 const WITHIN_DIGIT: f64 = 0.8;
 const OTHERS: usize = 10;
@@ -192,11 +207,7 @@ fn digits_explain(columns: &[&[f64]], copied: &BTreeSet<usize>, ways: &BTreeSet<
     let (mut near, mut others) = (0_usize, 0_usize);
     for way in ways {
         for row in (0..rows).filter(|row| !copied.contains(row)) {
-            let other = match way {
-                Way::Forwards(apart) => row.checked_sub(*apart),
-                Way::Backwards(sum) => sum.checked_sub(row).filter(|other| *other < row),
-            };
-            if let Some(other) = other {
+            if let Some(other) = way.repeated_by(row) {
                 others += 1;
                 near += usize::from(within(row, other));
             }
@@ -250,10 +261,14 @@ pub fn doubted(run: &str, columns: &[&[f64]]) -> Option<String> {
         }
         first.entry(stretch).or_insert(start);
     }
-    if digits_explain(columns, &copied, &ways) {
-        return None;
-    }
-    (copied.len() >= 10 && copied.len() as f64 >= COPIED * rows as f64).then(|| {
+    // Digits that repeat by chance elsewhere explain no long run that is another one, row for row.
+    let is_run = |way: &Way| {
+        let same = (0..rows).filter_map(|row| Some(readings[row] == readings[way.repeated_by(row)?]));
+        let (all, same) = same.fold((0, 0), |(all, same), is_same| (all + 1, same + usize::from(is_same)));
+        all >= RUN && same as f64 >= WHOLE * all as f64
+    };
+    let is_copied = ways.iter().any(is_run) || !digits_explain(columns, &copied, &ways);
+    (copied.len() >= 10 && copied.len() as f64 >= COPIED * rows as f64 && is_copied).then(|| {
         format!(
             "{run}: {} of {rows} readings are those of others to the last digit, in the same or in the opposite order: are they copies? \
              Then repeatability and reversal are not those of the machine",
