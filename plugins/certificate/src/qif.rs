@@ -154,11 +154,36 @@ impl<'a> Document<'a> {
             document.runs[run].push((point, tip));
             rows.push((row, point, tip));
         }
+        document.tell_copied_runs(table);
         document.are_of_one_part(table, has_nominal)?;
         if has_nominal {
             document.are_where_they_are_said(table, &rows)?;
         }
         Ok(document)
+    }
+
+    /// Tells of a run all of whose points are those of an earlier one to the last digit, where digits are fine.
+    fn tell_copied_runs(&self, table: &Dataset) {
+        const FEWEST: usize = 4;
+        const COARSE: f64 = 1e-4;
+        let is_fine = |at: &[f64; 3]| at.iter().any(|own| (own / COARSE - (own / COARSE).round()).abs() > 1e-3);
+        for (number, run) in self.runs.iter().enumerate() {
+            let places: BTreeMap<usize, [f64; 3]> = run.iter().map(|(point, tip)| (*point, tip.indicated)).collect();
+            let is_copy = |earlier: &Vec<(usize, &Measured)>| {
+                let same = |(point, tip): &(usize, &Measured)| places.get(point) == Some(&tip.indicated);
+                earlier.len() == run.len() && earlier.iter().all(same)
+            };
+            let copied = self.runs[..number].iter().position(is_copy);
+            let tells = run.len() >= FEWEST && places.values().any(is_fine);
+            if let Some(of) = copied.filter(|_| tells) {
+                let (label, row) = self.labels[number];
+                let words = format!(
+                    "run `{label}` has the points of run `{}` to the last digit: was it copied?",
+                    self.labels[of].0
+                );
+                tracing::warn!("{}", table.error_at(row, words));
+            }
+        }
     }
 
     /// Fails where all points of a run were found where a mistake in a column puts them: from their nominal places, or from another run

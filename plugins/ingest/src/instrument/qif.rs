@@ -28,6 +28,15 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ingest>, Setti
     stage(settings, context, read)
 }
 
+/// Names of units of length, in small letters, and their size, mm.
+const NAMED: [(&[&str], f64); 5] = [
+    (&["m", "meter", "metre"], 1000.0),
+    (&["cm", "centimeter", "centimetre"], 10.0),
+    (&["mm", "millimeter", "millimetre"], 1.0),
+    (&["um", "µm", "micrometer", "micrometre", "micron"], 1e-3),
+    (&["in", "inch", "inches"], 25.4),
+];
+
 /// Elements with a measured feature that has a point or a centre, and their kinds.
 const KINDS: [(&str, &str); 4] = [
     ("PointFeatureMeasurement", "point"),
@@ -129,6 +138,16 @@ impl Qif<'_> {
             return Err(self.wrong(unit, message));
         };
         let scale = factor * 1000.0;
+        // The name is for people; where it is a known one and means another length, nobody knows which is right.
+        let named = text(unit, "UnitName").and_then(|name| {
+            let is_it = |(names, _): &&(&[&str], f64)| names.contains(&name.trim().to_lowercase().as_str());
+            NAMED.iter().find(is_it).map(|(_, scale)| (name, *scale))
+        });
+        if let Some((name, of_name)) = named.filter(|(_, of_name)| (of_name / scale - 1.0).abs() > 1e-6) {
+            let message =
+                format!("the UnitName is {}, which is {of_name} mm, and the Factor says {scale} mm", name.trim());
+            return Err(self.wrong(unit, message).help("which one is right? Correct the other"));
+        }
         match units {
             Some(units) if (units.scale() / scale - 1.0).abs() > 1e-9 => {
                 let message = format!("the LinearUnit is {scale} mm, and `units` says {}", units.name());

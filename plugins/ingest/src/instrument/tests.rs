@@ -193,7 +193,7 @@ fn qif_results_are_read_with_their_nominal_features() {
     near(1, [100.002, 50.001, 9.999, 0.0, 100.0, 50.0, 10.0]);
     assert_eq!((label(&data, "feature", 0), label(&data, "point", 1), label(&data, "kind", 1)), ("H1", "21", "point"));
     assert_eq!((label(&data, "run", 0), data.origins[1].line, remarks.len()), ("30", 20, 1));
-    let inches = QIF.replace("<Factor>0.001<", "<Factor>0.0254<");
+    let inches = QIF.replace("<Factor>0.001<", "<Factor>0.0254<").replace("<UnitName>mm<", "<UnitName>Inch<");
     let (inches, _) = read(qif::read, &inches, None).expect("data");
     assert!((numbers(&inches, &["X"], 0)[0] - 50.0012 * 25.4).abs() < 1e-9);
     for (from, to, expected) in [
@@ -201,6 +201,11 @@ fn qif_results_are_read_with_their_nominal_features() {
         ("versionQIF=\"3.0.0\"", "versionQIF=\"2.1\"", "a QIFDocument of version 3 was expected"),
         ("<FileUnits>", "<OtherUnits>", "the file is no XML"),
         ("LinearUnit><SI", "AngularUnit><SI", "the file is no XML"),
+        (
+            "<UnitName>mm",
+            "<UnitName>inch",
+            "file.txt:4:5: the UnitName is inch, which is 25.4 mm, and the Factor says 1 mm",
+        ),
         ("<SIUnitName>meter", "<SIUnitName>parsec", "file.txt:4:5: the LinearUnit is no multiple of the metre"),
         ("<Factor>0.001<", "<Factor>0,001<", "no multiple of the metre"),
         (
