@@ -230,15 +230,16 @@ const JOURNAL: &str = "-journal";
 
 /// Removes the temporary folders and files whose owner is dead, and journals of such files that are gone.
 fn remove_abandoned(parent: &Path) -> io::Result<()> {
+    let mut journals = Vec::new();
     for entry in fs::read_dir(parent)?.flatten() {
         let name = entry.file_name().to_string_lossy().into_owned();
-        if let Some(of) = name.strip_suffix(JOURNAL).filter(|of| is_temporary(of)) {
-            let is_left = entry.file_type().is_ok_and(|kind| kind.is_file()) && !parent.join(of).exists();
-            let _ = if is_left { fs::remove_file(entry.path()) } else { Ok(()) };
+        let Ok(kind) = entry.file_type() else { continue };
+        if let Some(of) = name.strip_suffix(JOURNAL).filter(|of| is_temporary(of) && kind.is_file()) {
+            journals.push((entry.path(), parent.join(of)));
         }
-        let Some(kind) = entry.file_type().ok().filter(|_| is_temporary(&entry.file_name().to_string_lossy())) else {
+        if !is_temporary(&name) {
             continue;
-        };
+        }
         if (kind.is_dir() || kind.is_file())
             && let Some(_lock) = locked(&entry.path())
         {
@@ -246,6 +247,8 @@ fn remove_abandoned(parent: &Path) -> io::Result<()> {
             let _ = if kind.is_dir() { fs::remove_dir_all(entry.path()) } else { fs::remove_file(entry.path()) };
         }
     }
+    // After their files, in whatever order the folder lists them: nobody would look for one that is left then.
+    journals.into_iter().filter(|(_, of)| !of.exists()).for_each(|(journal, _)| drop(fs::remove_file(journal)));
     Ok(())
 }
 
@@ -269,5 +272,14 @@ mod tests {
         drop(new);
         drop(temporary_file(folder.path()).unwrap());
         assert!(!own.exists() && somebodys.exists());
+        // Of killed commands both are there: the next one removes both, in any order of the folder.
+        for number in 0..50 {
+            let file = at(&format!(".abbe-partial-{:012}", 7919 * number));
+            let journal = PathBuf::from(format!("{}{JOURNAL}", file.display()));
+            fs::write(if number % 2 == 0 { &journal } else { &file }, "").unwrap();
+            fs::write(if number % 2 == 0 { &file } else { &journal }, "").unwrap();
+        }
+        drop(temporary_file(folder.path()).unwrap());
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 }

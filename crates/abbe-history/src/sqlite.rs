@@ -67,6 +67,10 @@ impl File {
     /// Opens a file to read it; nothing is changed.
     pub(crate) fn read(path: &Path) -> Result<Self> {
         is_file_if_there(path)?;
+        if !path.is_file() && path.symlink_metadata().is_ok() {
+            let message = format!("the history {} is a link that leads to nothing", path.display());
+            return Err(Error::usage(message).help("name the file that it should lead to"));
+        }
         if !path.is_file() {
             return Err(Error::usage(format!("the history {} does not exist", path.display()))
                 .help("`abbe history add` makes it"));
