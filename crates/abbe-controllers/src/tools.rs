@@ -70,6 +70,14 @@ impl Tools {
     pub fn length(&self, number: u32) -> Option<f64> {
         self.only.or_else(|| self.by_number.get(&number).copied())
     }
+
+    /// What to do about a tool whose length is not known.
+    pub(crate) fn help(&self) -> &'static str {
+        match self.by_number.is_empty() {
+            true => "give it: `--tools tool.tbl`, or `--tool-length-mm`",
+            false => "the table of tools has no line for it: add one, or give `--tool-length-mm`",
+        }
+    }
 }
 
 #[cfg(test)]

@@ -55,10 +55,16 @@ fn without_mark(text: &str) -> &str {
     text.strip_prefix('\u{feff}').unwrap_or(text)
 }
 
-/// JSON that cannot be read: a key that stands twice, or no JSON.
+/// Depth of lists and maps that `serde_json` reads.
+const DEEPEST: usize = 127;
+
+/// JSON that cannot be read: a key that stands twice, one that is too deep, or no JSON.
 fn broken(error: &serde_json::Error) -> Error {
     match error.is_data() {
         true => Error::data(error.to_string()).help("keep the one that is right"),
+        false if error.to_string().starts_with("recursion limit") => {
+            Error::data(format!("lists and maps lie more than {DEEPEST} deep in each other here: {error}"))
+        }
         false => Error::data(format!("this is not a JSON file: {error}")),
     }
 }

@@ -29,10 +29,12 @@ const SAID: u64 = 4000;
 /// Fails without a browser, or where it fails or takes too long.
 pub fn pdf(page: &str) -> Result<Vec<u8>> {
     let failed = |error: std::io::Error| Error::data(format!("the page cannot be printed: {error}"));
-    let folder = TemporaryFolder::new().map_err(failed)?;
+    let folder = TemporaryFolder::new().map_err(interrupt::no_temporary_file)?;
     let [source, paper, profile, log] =
         ["page.html", "page.pdf", "profile", "log"].map(|name| folder.path().join(name));
-    std::fs::File::create(&source).and_then(|mut file| file.write_all(page.as_bytes())).map_err(failed)?;
+    std::fs::File::create(&source)
+        .and_then(|mut file| file.write_all(page.as_bytes()))
+        .map_err(interrupt::no_temporary_file)?;
     let name = program()?;
     let mut command = Command::new(&name);
     command.args([
@@ -54,7 +56,7 @@ pub fn pdf(page: &str) -> Result<Vec<u8>> {
     // What it keeps elsewhere than in its profile goes with the folder, too.
     command.env("TMPDIR", folder.path());
     children::apart(&mut command);
-    let told = std::fs::File::create(&log).map_err(failed)?;
+    let told = std::fs::File::create(&log).map_err(interrupt::no_temporary_file)?;
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(told);
     let mut browser = command
         .spawn()

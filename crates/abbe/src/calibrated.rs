@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use abbe_compensation::{Temperatures, check_no_drift, extrapolated, follows_log};
 use abbe_core::{
-    AxisKind, Branch, Build, Calibration, Context, Error, Kind, KinematicModel, Poses, Quantity, Registry, Result,
+    Axis, AxisKind, Branch, Build, Calibration, Context, Error, Kind, KinematicModel, Poses, Quantity, Registry, Result,
 };
 use abbe_engine::{RunRecord, model_with_log};
 use abbe_files::{LARGEST_RESULT, read_text};
@@ -243,27 +243,31 @@ fn check_machine(
         .map_err(|error| wrong(&error))?
         .build(&[])
         .map_err(|error| wrong(&error))?;
-    let of = |model: &dyn KinematicModel| -> Vec<(String, Branch, [f64; 3])> {
+    let of = |model: &dyn KinematicModel| -> Vec<(String, Branch, [f64; 3], f64)> {
         let axes = model.info().axes.iter();
-        axes.map(|axis| (axis.name.clone(), axis.branch, axis.direction.map(|part| part * axis.sense))).collect()
+        let directed = |axis: &Axis| axis.direction.map(|part| part * axis.sense);
+        axes.map(|axis| (axis.name.clone(), axis.branch, directed(axis), axis.sense)).collect()
     };
     let (ours, theirs) = (of(model), of(other.as_ref()));
     let refused = |message: String| {
         Err(Error::data(format!("this is the calibration of another machine: {message}")).in_file(file))
     };
-    let names = |axes: &[(String, Branch, [f64; 3])]| {
+    let names = |axes: &[(String, Branch, [f64; 3], f64)]| {
         let side = |branch| if branch == Branch::Workpiece { "'" } else { "" };
-        axes.iter().map(|(name, branch, _)| format!("{name}{}", side(*branch))).collect::<Vec<_>>().join(" ")
+        axes.iter().map(|(name, branch, ..)| format!("{name}{}", side(*branch))).collect::<Vec<_>>().join(" ")
     };
     if names(&ours) != names(&theirs) {
         let message = format!("its axes are {}, those of {} are {}", names(&ours), machine.display(), names(&theirs));
         return refused(message);
     }
-    for ((axis, _, own), (.., direction)) in ours.iter().zip(&theirs) {
+    for ((axis, _, own, sense), (.., direction, of_other)) in ours.iter().zip(&theirs) {
         let apart: f64 = own.iter().zip(direction).map(|(one, other)| (one - other).abs()).sum();
         if apart > 1e-6 {
+            // As machine files state them, and without minus zeros.
+            let stated = |direction: &[f64; 3], sense: f64| direction.map(|part| part * sense + 0.0);
+            let (own, direction) = (stated(own, *sense), stated(direction, *of_other));
             let message =
-                format!("its axis {axis} moves along {own:?}, that of {} along {direction:?}", machine.display());
+                format!("its axis {axis} has the direction {own:?}, that of {} {direction:?}", machine.display());
             return refused(message);
         }
     }

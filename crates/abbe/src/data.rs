@@ -130,6 +130,17 @@ fn layout_lines(layout: &Layout, told: &Contents) -> String {
     table::text(&rows, &[])
 }
 
+/// Characters that are shown of a cell.
+const LONGEST: usize = 60;
+
+/// The beginning of a long cell.
+fn cut(cell: &str) -> String {
+    match cell.char_indices().nth(LONGEST) {
+        Some((end, _)) => format!("{}...", &cell[..end]),
+        None => cell.to_owned(),
+    }
+}
+
 /// Marks or labels that are shown of a column.
 const SHOWN: usize = 3;
 
@@ -152,11 +163,11 @@ fn column_of_file(column: &Found) -> Vec<String> {
         (false, Quantity::Label) => (labels(column), String::new()),
         (false, quantity) => (labels(column), format!("{}, but it holds no numbers", written_unit(&header, quantity))),
     };
-    vec![column.name.clone(), holds, from, to, missing.join(", "), unit]
+    vec![cut(&column.name), holds, from, to, missing.join(", "), unit]
 }
 
 fn labels(column: &Found) -> String {
-    let some: Vec<&str> = column.texts.keys().take(SHOWN).map(String::as_str).collect();
+    let some: Vec<String> = column.texts.keys().take(SHOWN).map(|text| cut(text)).collect();
     match column.texts.len() {
         0 => "nothing".to_owned(),
         count if count > some.len() => format!("{count} labels: {}, ...", some.join(", ")),
@@ -180,8 +191,8 @@ fn written_unit(header: &ColumnHeader, quantity: Quantity) -> String {
 }
 
 fn first_rows(told: &Contents, width: usize) -> String {
-    let mut rows = vec![told.columns.iter().map(|column| column.name.clone()).collect::<Vec<_>>()];
-    rows.extend(told.first.iter().cloned());
+    let mut rows = vec![told.columns.iter().map(|column| cut(&column.name)).collect::<Vec<_>>()];
+    rows.extend(told.first.iter().map(|row| row.iter().map(|cell| cut(cell)).collect()));
     let all: Vec<usize> = (0..told.columns.len()).collect();
     format!("\nFirst rows\n{}", table::within(&rows, &all, 0, width))
 }

@@ -132,6 +132,10 @@ impl Add {
         })?;
         let record = RunRecord::from_json(&text).map_err(|error| error.in_file(&path))?;
         let verdicts = Verdict::list_from_json(&record.written_text(folder, VERDICTS)?)?;
+        if record.outputs.is_empty() {
+            let error = Error::data("`outputs` names no file: the run left nothing to keep").in_file(&path);
+            return Err(error.help("name a folder as `abbe run` wrote it"));
+        }
         let names = record.outputs.iter().filter_map(|output| output.file.strip_suffix(CALIBRATION));
         let calibration = |name: &str| {
             let file = format!("{name}{CALIBRATION}");

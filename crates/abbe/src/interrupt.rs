@@ -60,6 +60,7 @@ impl Drop for TemporaryFolder {
 /// What is said where nothing can be written into a temporary folder.
 pub fn no_temporary_file(error: io::Error) -> Error {
     let folder = std::env::temp_dir();
+    let folder = if folder.as_os_str().is_empty() { Path::new("an unnamed folder") } else { folder.as_path() };
     let message = format!("a temporary file cannot be written to {}: {}", folder.display(), abbe_files::why(&error));
     Error::data(message).help("make room there, or name another folder in TMPDIR")
 }

@@ -85,9 +85,23 @@ fn not_understood(error: &clap::Error) -> ExitCode {
     if error.use_stderr() {
         tell(&failure::readable(&text));
     } else {
-        let _ = io::stdout().lock().write_all(harmless(&text).as_bytes());
+        return printed(&harmless(&text), u8::try_from(error.exit_code()).unwrap_or(2));
     }
     ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2))
+}
+
+/// Prints what a command found; gives its exit status, or that of an output which cannot be written.
+fn printed(text: &str, status: u8) -> ExitCode {
+    match io::stdout().lock().write_all(text.as_bytes()) {
+        Ok(()) if interrupt::happened() => ExitCode::from(interrupt::status()),
+        Ok(()) => ExitCode::from(status),
+        // The reader of the output has closed it.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::from(status),
+        Err(error) => {
+            tell(&format!("the output cannot be written: {}\n", abbe_files::why(&error)));
+            ExitCode::from(1)
+        }
+    }
 }
 
 /// Marks the end of the process, when dropped, as intended by the program and not caused by a plugin.
@@ -144,16 +158,7 @@ fn carried_out(arguments: Arguments) -> ExitCode {
     let result = dispatch(arguments.command, &libraries, arguments.verbose);
     interrupt::done();
     match result {
-        Ok((text, status)) => match io::stdout().lock().write_all(shown(&text).as_bytes()) {
-            Ok(()) if interrupt::happened() => ExitCode::from(interrupt::status()),
-            Ok(()) => ExitCode::from(status),
-            // The reader of the output has closed it.
-            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::from(status),
-            Err(error) => {
-                tell(&format!("the output cannot be written: {}\n", abbe_files::why(&error)));
-                ExitCode::from(1)
-            }
-        },
+        Ok((text, status)) => printed(&shown(&text), status),
         Err(error) => {
             // After an interruption other errors are its consequences, also that of a process that was ended.
             let error = if interrupt::happened() { Error::interrupted() } else { error };

@@ -29,6 +29,10 @@ pub fn write(registry: &Registry, folder: &Path) -> Result<String> {
                 return Err(Error::usage(message).help("name another folder"));
             }
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(wrong(&file, error)),
+            Err(_) if file.symlink_metadata().is_ok() => {
+                let message = format!("{} is a link that leads to nothing; it is not replaced", file.display());
+                return Err(Error::usage(message).help("name another folder"));
+            }
             _ => {}
         }
     }

@@ -107,11 +107,15 @@ impl Test {
         }
         // Somebody may have put something there in the meantime.
         self.are_own()?;
+        let mut is_written = true;
         for (file, content) in [(&self.junit, junit(&all)), (&self.markdown, markdown(&all))] {
-            let Some(file) = file else { continue };
-            replace(file, &sealed(&content))?;
+            // What was found is printed, whether or not it can be kept.
+            if let Some(Err(error)) = file.as_deref().map(|file| replace(file, &sealed(&content))) {
+                crate::tell(&crate::failure::text(&error));
+                is_written = false;
+            }
         }
-        let status = u8::from(!all.iter().all(Tested::is_good));
+        let status = u8::from(!is_written || !all.iter().all(Tested::is_good));
         Ok((text(&all), status))
     }
 
@@ -181,7 +185,15 @@ impl Test {
             };
             let entries = std::fs::read_dir(path).map_err(unreadable)?.flatten().map(|entry| entry.path());
             let is_yaml = |file: &PathBuf| file.extension().is_some_and(|ending| ending == "yaml" || ending == "yml");
-            let mut recipes: Vec<PathBuf> = entries.filter(is_yaml).filter(|file| is_recipe(file)).collect();
+            let (files, others): (Vec<PathBuf>, Vec<PathBuf>) = entries.partition(is_yaml);
+            let (mut recipes, no_recipes): (Vec<PathBuf>, Vec<PathBuf>) =
+                files.into_iter().partition(|file| is_recipe(file));
+            // What something is expected of is looked at, and told if it is no recipe any more, or is gone.
+            let is_expected = |file: &PathBuf| others.contains(&expectation(file));
+            recipes.extend(no_recipes.into_iter().filter(is_expected));
+            let known: BTreeSet<PathBuf> = recipes.iter().map(|recipe| expectation(recipe)).collect();
+            let is_left = |file: &&PathBuf| file.extension().is_some_and(|it| it == EXPECTED) && !known.contains(*file);
+            recipes.extend(others.iter().filter(is_left).map(|file| file.with_extension("yaml")));
             if recipes.is_empty() {
                 return Err(Error::usage(format!("there are no recipes in {}", path.display()))
                     .help("name recipes, or a folder with some"));
@@ -228,7 +240,9 @@ impl Test {
         Ok(match differences {
             None => Ending::New,
             Some(differences) if differences.is_empty() => Ending::Same,
-            Some(differences) => Ending::Changed(differences),
+            Some(differences) => {
+                Ending::Changed(differences.iter().map(|told| crate::failure::readable(told)).collect())
+            }
         })
     }
 }
@@ -249,8 +263,11 @@ fn is_recipe(file: &Path) -> bool {
 
 /// The file with what is expected of a recipe.
 fn expectation(recipe: &Path) -> PathBuf {
-    recipe.with_extension("expected")
+    recipe.with_extension(EXPECTED)
 }
+
+/// How names of files of what is expected end.
+const EXPECTED: &str = "expected";
 
 /// How a file of results begins.
 const JUNIT: &str = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<testsuites>\n<testsuite name=\"abbe test\"";

@@ -196,7 +196,7 @@ impl Baseline {
                 if let Some(missing) = missing {
                     let label = &self.points[missing].point.label;
                     return Err(data
-                        .error_at(last, format!("{name} ends without point {label}"))
+                        .error_at(last, format!("{name} has no point {label}"))
                         .help("a verify run probes every point of the baseline"));
                 }
                 // A program that says where it sends the axes says so of the baseline, too.

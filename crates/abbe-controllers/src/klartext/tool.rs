@@ -35,7 +35,7 @@ impl Program {
         }
         let tools = &reader.options.tools;
         if is_new {
-            let help = "give it: `--tools tool.tbl`, or `--tool-length-mm`";
+            let help = tools.help();
             self.length = match call.number {
                 Some(0.0) => None,
                 _ if tools.only.is_some() => tools.only,

@@ -75,7 +75,7 @@ impl Modal {
             false => None,
             true => {
                 let found = number.map_or(options.tools.only, |number| options.tools.length(number));
-                let help = "give it: `--tools tool.tbl`, or `--tool-length-mm`";
+                let help = options.tools.help();
                 Some(found.ok_or_else(|| {
                     let number = number.map_or("of the spindle".to_owned(), |number| number.to_string());
                     refused(word, &format!("the length of the tool {number} is not known"), help)
