@@ -455,6 +455,13 @@ fn what_cannot_be_said_ends_nothing() {
         assert_eq!(ended.code(), Some(status), "{arguments:?}");
     }
     assert!(small.path("out/recipe/run.json").is_file());
+    // What is asked for and cannot be printed is an error, help too.
+    for arguments in [&["--help"][..], &["--version"], &["run", "--help"], &["plugins"]] {
+        let full = fs::OpenOptions::new().write(true).open("/dev/full").expect("a full disk");
+        let mut asked = program(small.folder.path(), arguments);
+        let ended = asked.stdin(Stdio::null()).stderr(Stdio::null()).stdout(full).status().expect("the program starts");
+        assert_eq!(ended.code(), Some(1), "{arguments:?}");
+    }
 }
 
 #[cfg(unix)]

@@ -298,3 +298,145 @@ fn a_facet_with_the_touches_of_another_one_is_told() {
     let said = run(&recipe).1;
     assert!(said.contains(&format!("feature {onto} was touched at the nominal place of {copied}")), "{said}");
 }
+
+/// What touches do not tell is not told by nominal heights that are off.
+#[test]
+fn values_that_only_wrong_nominal_places_tell_are_named() {
+    let words = "The nominal places may be wrong, and these values are not to be trusted";
+    let recipe = Variant::of(&recipes()["cylinder-kx8"]).only(&["fit-section"]);
+    let nominal = recipe.path("section", "nominal");
+    assert!(!run(&recipe).1.contains(words));
+    for (column, change) in [
+        ("z_mm", (|row: usize, z: f64| z + 0.3 * (row as f64 * 2.4).sin()) as fn(usize, f64) -> f64),
+        ("z_mm", |row, z| if row % 5 == 0 { z + 0.9 } else { z }),
+    ] {
+        let (folder, mut wrong) = (temporary(), recipe.clone());
+        let moved = |row: usize, cell: &str| format!("{:.6}", change(row, cell.parse().expect("a number")));
+        wrong.stage("section")["nominal"] = json!(changed(&nominal, folder.path(), column, moved));
+        let said = run(&wrong).1;
+        assert!(said.contains(words) && said.contains("EA0C"), "{said}");
+    }
+}
+
+#[test]
+fn offsets_of_a_cmm_with_another_sign_or_unit_are_told() {
+    let words = "with the offsets of the CMM file";
+    let recipe = Variant::of(&recipes()["tango-hu40t"]).only(&["fit-S4", "fit-S4r", "artefact", "tips"]);
+    let file = recipe.path("artefact", "cmm");
+    assert!(!run(&recipe).1.contains(words));
+    for (factor, told) in
+        [(-1.0, "with the other sign"), (1.0 / 25.4, "times 25.4"), (25.4, "divided by 25.4"), (1e-3, "times 1000")]
+    {
+        let (folder, mut wrong) = (temporary(), recipe.clone());
+        let file = changed(&file, folder.path(), "d_um", times(factor));
+        for stage in ["artefact", "tips"] {
+            wrong.stage(stage)["cmm"] = json!(file);
+        }
+        let said = run(&wrong).1;
+        assert!(said.matches(&format!("{words} {told}")).count() >= 4, "{factor}: {said}");
+    }
+}
+
+#[test]
+fn a_bar_that_contradicts_itself_is_told() {
+    let recipe = Variant::of(&recipes()["tango-uncertainty"]).only(&["all"]);
+    let words = ["one length has no two", "was it measured?", "the residuals of bar-all"];
+    let said = run(&recipe).1;
+    assert!(words.iter().all(|words| !said.contains(words)), "{said}");
+    let file = recipe.path("all-lengths", "path");
+    let with = |column: &str, change: &dyn Fn(usize, &str) -> String| {
+        let (folder, mut recipe) = (temporary(), recipe.clone());
+        recipe.stage("all-lengths")["path"] = json!(changed(&file, folder.path(), column, change));
+        run(&recipe).1
+    };
+    let of_a_day = |row: usize, cell: &str| match row / 4 == 2 {
+        true => format!("{:.4}", cell.parse::<f64>().expect("a number") + 0.1),
+        false => cell.to_owned(),
+    };
+    let said = with("reference_mm", &of_a_day);
+    assert!(said.contains(words[0]) && said.contains(words[2]), "{said}");
+    assert!(with("X1_mm", &of_a_day).contains(words[2]));
+    for column in ["X1_mm", "X2_mm"] {
+        let said = with(column, &|_, _| "-152.16654".to_owned());
+        assert!(said.contains(words[1]), "{column}: {said}");
+    }
+}
+
+#[test]
+fn ends_of_repeated_lengths_that_are_elsewhere_are_told() {
+    let words = "are columns or rows exchanged?";
+    let recipe = Variant::of(&recipes()["standards-cmm"]);
+    assert!(!run(&recipe).1.contains(words));
+    let (folder, mut wrong) = (temporary(), recipe.clone());
+    let file = recipe.path("repeats", "path");
+    let off = |_: usize, cell: &str| format!("{}", cell.parse::<f64>().expect("a number") + 40.0);
+    wrong.stage("repeats")["path"] = json!(changed(&file, folder.path(), "X1_mm", off));
+    assert!(run(&wrong).1.contains(words));
+}
+
+/// A ball whose radius or whose stylus is another one is missed by the same everywhere.
+#[test]
+fn a_stylus_of_twice_the_radius_is_asked_about() {
+    let recipe = Variant::of(&recipes()["sphere-hu40t"]);
+    let words = "as with another radius of the stylus";
+    assert!(!run(&recipe).1.contains(words));
+    let (folder, mut wrong) = (temporary(), recipe.clone());
+    let file = recipe.path("hu40t", "file");
+    let text = read(&file);
+    let copy = folder.path().join("machine.yaml");
+    write(&copy, &text.replace("stylus_radius_mm: 3", "stylus_radius_mm: 6"));
+    assert_ne!(read(&copy), text);
+    wrong.stage("hu40t")["file"] = json!(copy);
+    assert!(run(&wrong).1.contains(words), "{}", run(&wrong).1);
+}
+
+/// A laser that reads from the other end, turned directions and times that run backwards in one of many files of an estimate.
+#[test]
+fn a_line_that_runs_the_other_way_round_is_told() {
+    let mut recipe = Variant::of(&recipes()["mill-direct"]).only(&["fit-angles", "fit-lengths"]);
+    let words = ["the axes move against `dir_Y`", "the time falls from row to row"];
+    let said = run(&recipe).1;
+    assert!(words.iter().all(|words| !said.contains(words)), "{said}");
+    let files = recipe.stage("length-files")["path"].as_array().expect("a list").clone();
+    let at = files.iter().position(|file| file.as_str().is_some_and(|file| file.ends_with("EYY.csv"))).expect("it");
+    let file = PathBuf::from(files[at].as_str().expect("a path"));
+    let with = |column: &str, change: &dyn Fn(f64) -> f64| {
+        let (folder, mut wrong) = (temporary(), recipe.clone());
+        let change = |_: usize, cell: &str| format!("{}", change(cell.parse().expect("a number")));
+        wrong.stage("length-files")["path"][at] = json!(changed(&file, folder.path(), column, change));
+        run(&wrong).1
+    };
+    let said = with("position_mm", &|position| 500.0 - position);
+    assert!(said.contains(words[0]) && said.contains("direct-EYY.csv"), "{said}");
+    assert!(with("direction", &|direction| -direction).contains(words[0]));
+    assert!(with("time_s", &|time| -time).contains(words[1]));
+}
+
+#[test]
+fn a_copied_run_of_qif_points_and_a_contradicting_unit_are_told() {
+    let recipe = Variant::of(&recipes()["qif-results"]);
+    let words = "to the last digit: was it copied?";
+    assert!(!run(&recipe).1.contains(words));
+    let (folder, mut wrong) = (temporary(), recipe.clone());
+    let copied = |header: &[String], rows: &mut Vec<Vec<String>>| {
+        let [run, feature] = ["run", "feature"].map(|name| place(header, name));
+        let first: Vec<Vec<String>> = rows.iter().filter(|row| row[run] == "1").cloned().collect();
+        for row in rows.iter_mut().filter(|row| row[run] == "2") {
+            if let Some(of) = first.iter().find(|of| of[feature] == row[feature]) {
+                ["X_mm", "Y_mm", "Z_mm"]
+                    .map(|name| place(header, name))
+                    .into_iter()
+                    .for_each(|at| row[at].clone_from(&of[at]));
+            }
+        }
+    };
+    wrong.stage("holes")["path"] = json!(with_rows(&recipe.path("holes", "path"), folder.path(), &copied));
+    assert!(run(&wrong).1.contains(words), "{}", run(&wrong).1);
+    let (folder, mut wrong) = (temporary(), recipe.clone());
+    let text = read(&recipe.path("read-back", "path")).replace("<UnitName>mm<", "<UnitName>inch<");
+    let file = folder.path().join("results.qif");
+    write(&file, &text);
+    wrong.stage("read-back")["path"] = json!(file);
+    let (printed, said) = run(&wrong);
+    assert!(printed.status != 0 && said.contains("the UnitName is inch"), "{said}");
+}

@@ -616,7 +616,7 @@ fn what_is_wrong_with_a_run_is_told_with_its_place() {
     let run = read(&root().join(format!("pipelines/{}/verify-2.csv", folder(machine, data))));
     let lines: Vec<&str> = run.lines().collect();
     let cases: [(String, &str); 5] = [
-        (lines[..lines.len() - 1].join("\n"), "ends without point P25"),
+        (lines[..lines.len() - 1].join("\n"), "has no point P25"),
         (format!("{run}{}\n", lines[1]), "point P01 is probed a second time"),
         (run.replace("P07,", "P77,"), "point P77 is not in the baseline"),
         (

@@ -195,3 +195,34 @@ fn a_recipe_that_is_not_there_is_wrong_use() {
     small.write("broken.yaml", "abbe: 1\nstages: {\n");
     assert_eq!(small.abbe(&["test", "broken.yaml"]).status, 1);
 }
+
+/// A folder is as expected only if each recipe is there of which something is expected.
+#[test]
+fn a_recipe_that_is_lost_is_told() {
+    let small = Small::new();
+    assert_eq!(small.abbe(&["test", "recipe.yaml", "--accept"]).status, 0);
+    let recipe = small.read("recipe.yaml");
+    small.write("other.yaml", &recipe);
+    assert_eq!(small.abbe(&["test", "other.yaml", "--accept"]).status, 0);
+    assert_eq!(small.abbe(&["test", "."]).status, 0);
+    for lost in ["", "\u{1}\u{2} no recipe\n", &recipe.replacen("abbe:", "abb:", 1)] {
+        small.write("other.yaml", lost);
+        let printed = small.abbe(&["test", "."]);
+        assert!(printed.status == 1 && printed.stdout.contains("other.yaml: ERROR"), "{}", printed.stdout);
+    }
+    std::fs::remove_file(small.path("other.yaml")).expect("it is removed");
+    let printed = small.abbe(&["test", "."]);
+    assert!(printed.status == 1 && printed.stdout.contains("other.yaml: ERROR"), "{}", printed.stdout);
+    std::fs::remove_file(small.path("other.expected")).expect("it is removed");
+    assert_eq!(small.abbe(&["test", "."]).status, 0);
+}
+
+#[test]
+fn differences_have_a_bound() {
+    let small = Small::new();
+    assert_eq!(small.abbe(&["test", "recipe.yaml", "--accept"]).status, 0);
+    let expected = small.read("recipe.expected");
+    small.write("recipe.expected", &expected.replacen("run = ", &format!("run = {}", "\u{0}".repeat(1_000_000)), 1));
+    let printed = small.abbe(&["test", "recipe.yaml"]);
+    assert!(printed.status == 1 && printed.stdout.len() < 30_000, "{}", printed.stdout.len());
+}

@@ -116,6 +116,22 @@ fn pages_open_no_pipe() {
 }
 
 #[test]
+fn pages_take_the_place_of_no_link() {
+    let folder = temporary();
+    let at = folder.path();
+    for (name, target) in [("ingest-csv.md", "/mnt/nowhere/ingest-csv.md"), ("README.md", "/dev/fd/99")] {
+        let pages = at.join(name.replace('.', "-"));
+        fs::create_dir(&pages).expect("a folder");
+        std::os::unix::fs::symlink(target, pages.join(name)).expect("a link");
+        let printed = as_typed(at, &["plugins", "--pages", pages.to_str().expect("UTF-8")]);
+        assert_eq!(printed.status, 2, "{}", printed.stderr);
+        assert!(printed.stderr.contains(name), "{}", printed.stderr);
+        assert!(pages.join(name).is_symlink());
+        assert_eq!(fs::read_dir(&pages).expect("a folder").count(), 1);
+    }
+}
+
+#[test]
 fn a_record_that_lists_a_result_twice_is_none() {
     let small = Small::new();
     assert_eq!(run(&small, "out").0, 0);
