@@ -137,18 +137,22 @@ pub(super) fn too_bad(seen: &Seen<'_>) -> Vec<String> {
         false if files.len() == 2 => OF_TWO,
         false => MISSTATED,
     };
+    // Where the larger of two files is the worse one, the scatter of the whole fit says it.
+    let (is_pair, rows) = (files.len() == 2, files.values().map(|own| own.count).sum::<usize>());
     let mut found: Vec<(&str, &Path, Residuals)> = files
         .into_iter()
+        .filter(|(_, own)| !is_pair || 2 * own.count < rows)
         .filter(|(_, own)| own.rms() > usual * misstated * by_chance(own.count))
         .map(|((stage, file), own)| (stage, file, own))
         .collect();
     found.sort_by(|one, other| other.2.rms().total_cmp(&one.2.rms()));
     let sentence = |(stage, file, own): &(&str, &Path, Residuals)| {
         format!(
-            "the residuals of {stage} in `{}` are {} times what is stated, those of most others {} times: is it the right file, \
-             does the model lack an error there, or is something misstated (certificate, unit, place, uncertainty)?",
+            "the residuals of {stage} in `{}` are {} times what is stated, those of {} {} times: is it the right file, does \
+             the model lack an error there, or is something misstated (certificate, unit, place, uncertainty)?",
             file.display(),
             short(own.rms()),
+            if is_pair { "the other file" } else { "most others" },
             short(usual)
         )
     };
