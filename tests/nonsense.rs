@@ -7,6 +7,7 @@ use abbe_core::{Error, Monitor};
 use abbe_engine::{Outcome, Planned, prepare};
 use serde_json::{Value, json};
 
+use crate::misread::changed;
 use crate::support::{SMALL, Small, Variant, abbe, read, recipes, registry, temporary};
 
 /// The first steps with other touches and another machine.
@@ -828,4 +829,23 @@ fn rows_that_an_estimate_has_seen_are_told_where_they_judge_it() {
     );
     let printed = small.abbe(&["run", "recipe.yaml"]);
     assert_eq!((printed.status, printed.stderr.as_str()), (0, ""), "{}", printed.stdout);
+}
+
+/// Thousands of trials of an estimate that no machine has say nothing, and nobody waits for them.
+#[test]
+fn no_trials_are_made_of_an_absurd_estimate() {
+    let folder = temporary();
+    let mut recipe = Variant::of(&recipes()["cylinder-uncertainty"]).only(&["fit-S2", "fit-both", "trials"]);
+    let file = recipe.path("touches-s2", "path");
+    let negated = |_: usize, cell: &str| format!("{}", -cell.parse::<f64>().expect("a number"));
+    recipe.stage("touches-s2")["path"] = json!(changed(&file, folder.path(), "Y_mm", negated));
+    recipe.stage("trials")["trials"] = json!(10_000_000);
+    let outcome = ran(&recipe, folder.path()).expect("results that are marked");
+    let told: Vec<(&str, &str)> =
+        outcome.failures.iter().map(|failure| (failure.stage.as_str(), failure.error.message.as_str())).collect();
+    assert!(told.contains(&("trials", "it needs `fit-both`, which failed: no machine has its errors")), "{told:?}");
+    assert!(
+        told.iter().any(|(stage, words)| *stage == "fit-both" && words.starts_with("no machine has such")),
+        "{told:?}"
+    );
 }

@@ -78,6 +78,17 @@ fn of_features(plausible: &Plausible, fit: &Fit) -> Option<Error> {
 }
 
 impl Prepared {
+    /// Fails for an estimate with errors that no machine has: a long calculation with it says nothing.
+    pub(crate) fn check_plausible(&self, fit: &Fit) -> Result<()> {
+        let stage = self.recipe_stage(stage_name(&fit.name))?;
+        let Some(plausible) = self.plausible.get(&stage.name).filter(|_| has_rows(&stage)) else { return Ok(()) };
+        let large = large_errors(plausible, &fit.problem, &fit.calibration)?;
+        match large.iter().any(LargeError::is_implausible) {
+            true => Err(Error::data(format!("it needs `{}`, which failed: no machine has its errors", fit.name))),
+            false => Ok(()),
+        }
+    }
+
     /// The estimates from measurements with errors that are implausible; these are marked in their calibrations. What is large, and may
     /// be real, is told only.
     pub(crate) fn implausible(&self, fits: &mut [Fit]) -> Result<Vec<Failure>> {

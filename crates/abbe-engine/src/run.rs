@@ -329,6 +329,7 @@ impl Prepared {
     fn fit_again(&self, stage: &Stage, (fits, batches): (&[Fit], &InBatches<'_>), monitor: &Monitor) -> Result<Fit> {
         let of = named(stage.reference("of"), fits);
         let fit = of.first().ok_or_else(|| Error::usage("the estimate under `of` is not there").stage(&stage.name))?;
+        self.located(stage, self.check_plausible(fit))?;
         let (monitor, estimator) = (monitor.of_stage(&stage.name), &self.estimators[&stage.name]);
         let analysed = match batches.parts(fit, &monitor)? {
             Some(parts) => estimator.analyse_parts(&watched(fit, monitor), parts.as_ref()),
