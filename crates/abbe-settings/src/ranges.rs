@@ -66,8 +66,8 @@ const NOT_NEGATIVE: [&str; 8] = [
     "stylus_radius",
 ];
 
-/// Smallest standard uncertainties and tolerances that can be meant, but for none at all, by the end of the name. Of a length this is a picometre: one
-/// that is smaller would let its row alone decide everything.
+/// Smallest standard uncertainties and tolerances that can be meant, but for none at all, by the end of the name. Of a length this is a
+/// picometre: one that is smaller would let its row alone decide everything.
 const SMALLEST: [(&str, f64); 6] =
     [("_um_per_m", 1e-6), ("_per_K", 1e-12), ("_urad", 1e-3), ("_um", 1e-6), ("_K", 1e-9), ("uncertainty", 1e-30)];
 
