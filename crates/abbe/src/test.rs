@@ -189,11 +189,11 @@ impl Test {
             let (mut recipes, no_recipes): (Vec<PathBuf>, Vec<PathBuf>) =
                 files.into_iter().partition(|file| is_recipe(file));
             // What something is expected of is looked at, and told if it is no recipe any more, or is gone.
-            let is_expected = |file: &PathBuf| others.contains(&expectation(file));
-            recipes.extend(no_recipes.into_iter().filter(is_expected));
+            let expected: Vec<PathBuf> = others.into_iter().filter(|file| is_expectation(file)).collect();
+            recipes.extend(no_recipes.into_iter().filter(|file| expected.contains(&expectation(file))));
             let known: BTreeSet<PathBuf> = recipes.iter().map(|recipe| expectation(recipe)).collect();
-            let is_left = |file: &&PathBuf| file.extension().is_some_and(|it| it == EXPECTED) && !known.contains(*file);
-            recipes.extend(others.iter().filter(is_left).map(|file| file.with_extension("yaml")));
+            let left = expected.iter().filter(|file| !known.contains(*file));
+            recipes.extend(left.map(|file| file.with_extension("yaml")));
             if recipes.is_empty() {
                 return Err(Error::usage(format!("there are no recipes in {}", path.display()))
                     .help("name recipes, or a folder with some"));
@@ -264,6 +264,12 @@ fn is_recipe(file: &Path) -> bool {
 /// The file with what is expected of a recipe.
 fn expectation(recipe: &Path) -> PathBuf {
     recipe.with_extension(EXPECTED)
+}
+
+/// Whether it is a file of what is expected of a recipe. Other programs may end names alike.
+fn is_expectation(file: &Path) -> bool {
+    let is_read = || read_text(file, LARGEST_TEXT).is_ok_and(|text| Expected::read(&text).is_ok());
+    file.extension().is_some_and(|ending| ending == EXPECTED) && is_read()
 }
 
 /// How names of files of what is expected end.
