@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use abbe_core::{
-    EquationIndex, Evaluation, FactoredPoses, IndexRange, ObservationSet, Owner, ParameterRole, PoseBatch, Problem,
-    Quantity, Result, RowIndex, SetIndex, StatusRole, Unit, Unknown, Variable,
+    EquationIndex, Evaluation, FactoredPoses, IndexRange, ObservationSet, Owner, ParameterRole, PoseBatch, ProbeTerm,
+    Problem, Quantity, Result, RowIndex, SetIndex, StatusRole, Unit, Unknown, Variable,
 };
 use abbe_numerics::{Factor, LeastSquares};
 
@@ -195,6 +195,7 @@ pub(crate) fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<
     }
     let angles = machine.iter().map(|&(column, _)| f64::from(problem.unknowns[column].unit == Unit::RAD));
     let angles: Vec<f64> = angles.collect();
+    let of_probe: Vec<f64> = wanted.iter().map(|variable| length_of_probe(problem, variable)).collect();
     let weight = |equation: EquationIndex| kept.map_or(1.0, |kept| kept[equation]) / uncertainties[equation];
     let found = problem.in_parts(wanted.len(), |chunks| {
         let mut squares = Squares { own: vec![0.0; problem.unknowns.len()], machine: vec![0.0; machine.len()] };
@@ -218,7 +219,7 @@ pub(crate) fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<
             let weights: Vec<f64> = weights.collect();
             let levers = Levers::new(set, rows, &work);
             for (equation, weight) in weights.iter().enumerate() {
-                levers.machine_terms(equation, &poses, &angles, &mut terms);
+                levers.machine_terms(equation, &poses, (&angles, &of_probe), &mut terms);
                 squares.machine.iter_mut().zip(&terms).for_each(|(square, term)| *square += (term * weight).powi(2));
             }
             for &(equation, unknown, derivative) in work.equations.by_own() {
@@ -239,6 +240,17 @@ pub(crate) fn norms_of_terms(problem: &Problem, kept: Option<&[f64]>) -> Result<
         }
     }
     Ok(squares.into_iter().map(f64::sqrt).collect())
+}
+
+/// How far a unit of a variable moves the surface of the stylus at most, in any direction: a lobe that is zero in the directions of all
+/// touches is rounding there.
+fn length_of_probe(problem: &Problem, variable: &Variable) -> f64 {
+    let Variable::Parameter(index) = variable else { return 0.0 };
+    match problem.model.info().parameters[*index].role {
+        ParameterRole::Probe { term: ProbeTerm::Delay, .. } => 0.0,
+        ParameterRole::Probe { .. } => 1.0,
+        _ => 0.0,
+    }
 }
 
 /// Sums of squares over some rows, by unknown and by parameter of the machine.
@@ -282,8 +294,14 @@ impl Levers {
     }
 
     /// The largest that a unit of each parameter of the machine could do to an equation, given the derivatives of the poses to them;
-    /// without those of rotations `angles` says how far each turns.
-    fn machine_terms(&self, equation: usize, poses: &FactoredPoses, angles: &[f64], terms: &mut [f64]) {
+    /// without those of rotations `angles` says how far each turns, and `of_probe` how far each moves the surface of the stylus.
+    fn machine_terms(
+        &self,
+        equation: usize,
+        poses: &FactoredPoses,
+        (angles, of_probe): (&[f64], &[f64]),
+        terms: &mut [f64],
+    ) {
         terms.fill(0.0);
         let (effects, count) = (poses.effects, poses.terms.len());
         for &(pose, by_position, by_rotation) in &self.pairs[equation] {
@@ -299,6 +317,7 @@ impl Levers {
             if poses.rotation_effects.is_empty() {
                 terms.iter_mut().zip(angles).for_each(|(term, angle)| *term += lever * angle);
             }
+            terms.iter_mut().zip(of_probe).for_each(|(term, length)| *term += by_position * length);
         }
     }
 
