@@ -19,7 +19,7 @@ pub struct Factor {
 
 /// Part of the largest share in a lost direction from which an unknown may be the one that is left out: what is left is worse
 /// conditioned by at most its inverse.
-const LEAST_SHARE: f64 = 1e-2;
+const LEAST_SHARE: f64 = 0.1;
 
 /// What one more unknown would do.
 #[derive(Debug, Clone, PartialEq)]
@@ -441,7 +441,7 @@ impl Spectrum {
     }
 
     /// One unknown for every lost direction such that the others are determined without them: of those that take part enough in
-    /// what is lost (one per cent of the largest share), the last in the order of preference goes first.
+    /// what is lost (a tenth of the largest share), the last in the order of preference goes first.
     ///
     /// `order` has all unknowns, the most preferred first.
     pub fn dependent(&self, rank: usize, order: &[usize]) -> Vec<usize> {

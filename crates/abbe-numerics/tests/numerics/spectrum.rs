@@ -124,6 +124,21 @@ fn without_the_dependent_ones_nothing_is_lost() {
     assert!(smallest > 1e-4, "{smallest:e}");
 }
 
+/// What the last unknown of the order loses is hardly its own: without it, an error of its start value would be fifty times as large in
+/// another one.
+#[test]
+fn what_hardly_takes_part_in_what_is_lost_is_not_left_out() {
+    for (share, left_out) in [(0.02, 1), (0.5, 2)] {
+        let mut problem = Linear::random(&mut Random::new(11), 20, 3);
+        for row in &mut problem.rows {
+            row[1] = row[0] + share * row[2];
+        }
+        let norms: Vec<f64> = (0..3).map(|column| 1.0 / norm(&problem.column(column))).collect();
+        problem.scale_columns(&norms);
+        assert_eq!(problem.factor(20).spectrum().dependent(2, &[0, 1, 2]), [left_out]);
+    }
+}
+
 #[test]
 fn of_all_steps_the_shortest() {
     let mut worst = [0.0_f64; 4];
