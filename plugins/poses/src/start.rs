@@ -8,7 +8,7 @@
 
 use abbe_core::{Error, Result};
 use nalgebra::{
-    DMatrix, Isometry3, Matrix3, Matrix6, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector3, Vector6,
+    DMatrix, DVector, Isometry3, Matrix3, Matrix6, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector3, Vector6,
 };
 
 /// Most steps of a singular value decomposition; finite matrices need far fewer.
@@ -17,6 +17,16 @@ const STEPS: usize = 1000;
 /// Smallest difference of the largest singular value of the mean rotation from 1. It is 1 if all poses share a direction:
 /// rotations out of it by less than 1e-4 rad determine nothing.
 const SPREAD: f64 = 1e-8;
+
+/// Singular values that are smaller than the largest by less than this part of it are as large: what belongs to them agrees with all
+/// orientations.
+const ALIKE: f64 = 1e-3;
+
+/// Part of the largest singular value from which positions tell something.
+const TOLD: f64 = 1e-9;
+
+/// Smallest determinant of what the positions choose: that of a rotation is 1. That of a singular vector that is one is `3^(-3/2)`.
+const LEAST_VOLUME: f64 = 0.01;
 
 /// If half of the orientations differ by more than this angle, rad, from the nominal machine, the data do not belong to it.
 const AGREEMENT: f64 = 0.1;
@@ -76,7 +86,7 @@ fn mean(matrices: impl ExactSizeIterator<Item = Matrix3<f64>>) -> Matrix3<f64> {
     matrices.sum::<Matrix3<f64>>() / count
 }
 
-/// Orientations of target and observer; none if the numbers are not finite.
+/// Orientations of target and observer; none if the numbers are not finite, or several orientations agree with all poses.
 fn orientations(
     tools: &[Isometry3<f64>],
     seen: &[Isometry3<f64>],
@@ -87,15 +97,51 @@ fn orientations(
     }
     let product = DMatrix::from_column_slice(9, 9, (product / tools.len() as f64).as_slice());
     let svd = product.try_svd(true, true, f64::EPSILON, STEPS)?;
-    let (of_target, of_observer) = (svd.u?, svd.v_t?);
-    let largest = svd.singular_values.imax();
-    let mut target = Matrix3::from_iterator(of_target.column(largest).iter().copied());
-    let mut observer = Matrix3::from_iterator(of_observer.row(largest).iter().copied());
-    // Singular vectors have no sign of their own; rotations have.
-    if observer.determinant() < 0.0 {
-        (target, observer) = (-target, -observer);
+    let (of_target, of_observer, values) = (svd.u?, svd.v_t?, svd.singular_values);
+    let is_largest = |index: &usize| values[*index] >= (1.0 - ALIKE) * values.max();
+    let matrices = |index: usize| {
+        let target = Matrix3::from_iterator(of_target.column(index).iter().copied());
+        (target, Matrix3::from_iterator(of_observer.row(index).iter().copied()))
+    };
+    let (targets, observers): (Vec<_>, Vec<_>) = (0..9).filter(is_largest).map(matrices).unzip();
+    let parts = match observers[..] {
+        // Singular vectors have no sign of their own; rotations have.
+        [observer] => vec![observer.determinant().signum()],
+        _ => chosen_by_positions(tools, seen, &observers)?,
+    };
+    let sum = |of: &[Matrix3<f64>]| -> Matrix3<f64> { of.iter().zip(&parts).map(|(one, part)| one * *part).sum() };
+    let (target, observer) = (sum(&targets), sum(&observers));
+    if observer.determinant() < LEAST_VOLUME {
+        return None;
     }
     Some((nearest_rotation(target)?, nearest_rotation(observer)?))
+}
+
+/// The coefficients of the combination that the positions choose among matrices M which all agree with the orientations:
+/// `R (M o + pc) - pg = -p` is linear in them and in the positions of target and observer.
+///
+/// Two orientations agree with all poses where one relative turn is a half turn, and the axis of the others is square to its axis.
+fn chosen_by_positions(
+    tools: &[Isometry3<f64>],
+    seen: &[Isometry3<f64>],
+    observers: &[Matrix3<f64>],
+) -> Option<Vec<f64>> {
+    let count = observers.len();
+    let mut rows = DMatrix::zeros(3 * tools.len(), count + 6);
+    let mut right = DVector::zeros(3 * tools.len());
+    for (row, (tool, seen)) in tools.iter().zip(seen).enumerate() {
+        let turned = rotation(tool);
+        for (column, observer) in observers.iter().enumerate() {
+            rows.fixed_view_mut::<3, 1>(3 * row, column).copy_from(&(turned * observer * seen.translation.vector));
+        }
+        rows.fixed_view_mut::<3, 3>(3 * row, count).copy_from(&turned);
+        rows.fixed_view_mut::<3, 3>(3 * row, count + 3).copy_from(&-Matrix3::identity());
+        right.fixed_rows_mut::<3>(3 * row).copy_from(&-tool.translation.vector);
+    }
+    let svd = rows.try_svd(true, true, f64::EPSILON, STEPS)?;
+    let least = TOLD * svd.singular_values.max();
+    let found = svd.solve(&right, least).ok()?;
+    Some(found.iter().take(count).copied().collect())
 }
 
 /// Positions of target and observer, which make `R' pg - pc` equal to `R' p + Rc o` as well as they can; `mean` is that of the

@@ -340,6 +340,33 @@ fn what_is_lost_does_not_depend_on_what_was_seen() {
     }
 }
 
+/// A half turn, and turns about an axis square to it: the same orientations are seen by an observer that is turned by half about that axis.
+#[test]
+fn positions_choose_where_two_orientations_agree() {
+    let mut random = Random(8);
+    for trial in 0..200 {
+        let (target, observer, frame) = (random.pose(300.0), random.pose(1500.0), random.pose(0.0).rotation);
+        let states = [Vector3::zeros(), Vector3::z() * std::f64::consts::PI, Vector3::x() * (1.3 * random.number())];
+        let tools: Vec<Isometry3<f64>> = (0..12)
+            .map(|row| Isometry3::new(random.vector() * 200.0, states[row % 3]))
+            .map(|tool| Isometry3::from_parts(tool.translation, frame * tool.rotation))
+            .collect();
+        let noise = [0.0, 1e-4][trial % 2];
+        let seen: Vec<Isometry3<f64>> = (tools.iter())
+            .map(|tool| {
+                (tool * observer).inverse() * target * Isometry3::new(Vector3::zeros(), random.vector() * noise)
+            })
+            .collect();
+        let found = start::target_and_observer(&tools, &seen).unwrap();
+        for (found, truth) in [(found.target, target), (found.observer, observer)] {
+            let turned = found.rotation.angle_to(&truth.rotation);
+            assert!(turned < 1e-9 + 20.0 * noise, "{trial}: {turned:e} with {noise:e}");
+            let off = (found.translation.vector - truth.translation.vector).norm();
+            assert!(off < 1e-5 + 4e4 * noise, "{trial}: {off:e}");
+        }
+    }
+}
+
 #[test]
 fn bad_poses_are_refused() {
     let mut random = Random(5);
