@@ -101,19 +101,19 @@ pub fn separated(problem: &Problem, mut found: Identifiability) -> Identifiabili
 
 /// The condition from which unknowns are at the mercy of the noise: an error of one reading by its uncertainty moves them by a million
 /// times what it moves an unknown that the readings tell directly.
-const ILL_CONDITIONED: f64 = 1e6;
+pub(crate) const ILL_CONDITIONED: f64 = 1e6;
 
-/// What people should know of the combinations that the data hardly determine; none if there are none. `factor` is that of a
-/// [`Judgement`](crate::Judgement).
-pub fn ill_conditioned(problem: &Problem, factor: &Factor, tolerance: f64) -> Option<String> {
+/// What people should know of the combinations that the data hardly determine; none if the condition is not above `least`. `factor` is
+/// that of a [`Judgement`](crate::Judgement).
+pub fn ill_conditioned(problem: &Problem, factor: &Factor, tolerance: f64, least: f64) -> Option<String> {
     let singular_values = factor.singular_values();
     let rank = singular_values.rank(tolerance);
     let condition = singular_values.condition(rank);
-    if condition <= ILL_CONDITIONED {
+    if condition <= least {
         return None;
     }
     let mut weak = weakest(problem, &factor.spectrum(), rank);
-    weak.retain(|vector| vector.singular_value * ILL_CONDITIONED < 1.0);
+    weak.retain(|vector| vector.singular_value * least < 1.0);
     let nominal = at_nominal_geometry(problem);
     let trials = SeparationTrials::new(&nominal, &nominal.start()).ok();
     let told = weak.iter().map(|vector| {

@@ -15,7 +15,9 @@ use crate::equivalent_motion_errors::equivalent_motion_errors;
 use crate::judgement::Judgement;
 use crate::parts::{RowsInParts, SolutionOfParts};
 use crate::propagation::{AposterioriFactors, Linearisation, Propagation};
-use crate::rank::{confounded, explained_identifiability, identifiability, ill_conditioned, separated, weakest};
+use crate::rank::{
+    ILL_CONDITIONED, confounded, explained_identifiability, identifiability, ill_conditioned, separated, weakest,
+};
 use crate::residuals::{Constraints, ResidualStatistics, outliers, radial_rms};
 use crate::variance::VarianceComponents;
 use crate::weighted::Weighted;
@@ -322,7 +324,7 @@ impl UncertaintyEvaluation {
         let factor = judged.factor();
         let mut found = separated(problem, explained_identifiability(problem, factor, self.rank_tolerance));
         found.equivalent_motion_errors = equivalent_motion_errors(problem)?;
-        found.remarks.extend(ill_conditioned(problem, factor, self.rank_tolerance));
+        found.remarks.extend(ill_conditioned(problem, factor, self.rank_tolerance, ILL_CONDITIONED));
         if found.rank == found.unknowns {
             let (problem, root) = (judged.problem(), factor.covariance_root(found.rank));
             let place = Linearisation { problem, x: &problem.start(), kept: None, root };
@@ -345,7 +347,7 @@ impl UncertaintyEvaluation {
         let (problem, factor) = (rows.problem(), rows.at_nominal_geometry()?);
         let mut found = identifiability(problem, &factor, self.rank_tolerance);
         found.weakest = weakest(problem, &factor.spectrum(), found.rank);
-        found.remarks.extend(ill_conditioned(problem, &factor, self.rank_tolerance));
+        found.remarks.extend(ill_conditioned(problem, &factor, self.rank_tolerance, ILL_CONDITIONED));
         if found.rank == found.unknowns {
             let SolutionOfParts { of_sets, extended, .. } = rows.at_solution(&problem.start(), None)?;
             let own = |factor: &Factor| factor.without_unknowns(|column| column >= problem.unknowns.len());

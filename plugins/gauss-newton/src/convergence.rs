@@ -72,13 +72,16 @@ fn not_converged<F>(solution: &Solution<F>, options: &Options) -> Error {
     error.convergence(convergence)
 }
 
+/// The condition from which what the data hardly tell may be why a fit does not converge: it moves where products of errors count.
+const SUSPECT: f64 = 1e4;
+
 /// The error of a fit that did not converge, with what the data hardly tell before the rest of its help; `factor` is where rank is
 /// judged.
 pub fn ill(problem: &Problem, factor: &Factor, rank_tolerance: f64, error: Error) -> Error {
     if error.convergence.is_none() {
         return error;
     }
-    let Some(remark) = ill_conditioned(problem, factor, rank_tolerance) else { return error };
+    let Some(remark) = ill_conditioned(problem, factor, rank_tolerance, SUSPECT) else { return error };
     let help = error.help.clone().map_or(remark.clone(), |help| format!("{remark}\nelse {help}"));
     error.help(help)
 }

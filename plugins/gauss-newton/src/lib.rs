@@ -315,6 +315,7 @@ impl GaussNewton {
         let found = identifiability(problem, factor, self.settings.rank_tolerance);
         let wanted = explained || self.settings.on_confounded == OnConfounded::Error;
         let found = if wanted { separated(problem, found) } else { found };
+        let told = |error| ill(problem, factor, self.settings.rank_tolerance, error);
         match self.settings.on_confounded {
             OnConfounded::Error => Err(confounded(&found)),
             // Nothing is left to be estimated.
@@ -322,7 +323,7 @@ impl GaussNewton {
             OnConfounded::MinimumNorm => {
                 let solve = |problem: &Problem, explained: bool| {
                     let lost = RankDeficiency { found: found.clone(), determined: determined.clone() };
-                    self.solve(problem, None, Some(lost), explained)
+                    self.solve(problem, None, Some(lost), explained).map_err(told)
                 };
                 let mut calibration = solve(problem, explained)?;
                 self.mark_shared((problem, &judged), &found, &mut calibration, explained, |problem| {
@@ -339,7 +340,7 @@ impl GaussNewton {
                 }
                 let solve = |problem: &Problem, explained: bool| {
                     let reduced = problem.without_unknowns(|unknown| names.contains(&unknown.name.as_str()));
-                    self.solve(&reduced, None, None, explained)
+                    self.solve(&reduced, None, None, explained).map_err(told)
                 };
                 let mut calibration = solve(problem, explained)?;
                 calibration.fit.unknowns = found.unknowns;
