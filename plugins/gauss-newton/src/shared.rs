@@ -16,7 +16,7 @@ const TYPICAL_TURN: f64 = 5e-5;
 
 impl GaussNewton {
     /// Marks every value that depends on a lost direction: those that share it, and those that move by more than their standard
-    /// uncertainty where it is taken to be another, by products of errors.
+    /// uncertainty where one, or all together, are taken to be others, by products of errors.
     ///
     /// How far a lost direction may be off nobody knows; it is tried with the largest value that was found for what has a main part in
     /// it, and at least with what errors of machines are.
@@ -40,6 +40,7 @@ impl GaussNewton {
                 _ => 1.0 / uncertainty,
             });
         let one_mm = readings.map(|weight| weight * weight).sum::<f64>().sqrt();
+        let mut shifts: Vec<(String, Vec<f64>)> = Vec::new();
         for vector in found.null_space.iter().filter(|_| explained) {
             let members = problem.unknowns.iter().enumerate().filter_map(|(index, unknown)| {
                 let part = vector.combination.iter().find(|part| part.name == unknown.name)?;
@@ -54,17 +55,22 @@ impl GaussNewton {
             let main = members.iter().filter(|member| effect(member) >= MAIN_PART * largest);
             let typical = if largest > 0.0 { TYPICAL_ERROR * one_mm / largest } else { 0.0 };
             let size = main.map(size).fold(typical, f64::max);
-            let mut shifted = x.clone();
-            members.iter().for_each(|(index, part)| shifted[*index] += size * part);
+            let mut shift = vec![0.0; x.len()];
+            members.iter().for_each(|(index, part)| shift[*index] += size * part);
+            shifts.push((format!("a lost direction ({})", vector.describe()), shift));
+        }
+        if shifts.len() > 1 {
+            // Two of them may do by their product what neither does alone.
+            let sum = |index: usize| shifts.iter().map(|(_, shift)| shift[index]).sum();
+            shifts.push(("all lost directions together".to_owned(), (0..x.len()).map(sum).collect()));
+        }
+        for (lost, shift) in shifts {
+            let shifted: Vec<f64> = x.iter().zip(shift).map(|(value, shift)| value + shift).collect();
             let other = match solve(&problem.with_values(&shifted)) {
                 Ok(other) => other,
                 Err(error) if error.fatal => return Err(error),
                 Err(error) => {
-                    let lost = vector.describe();
-                    tracing::warn!(
-                        "{}: what depends on a lost direction ({lost}) was not found: {error}",
-                        problem.name
-                    );
+                    tracing::warn!("{}: what depends on {lost} was not found: {error}", problem.name);
                     continue;
                 }
             };
