@@ -2,9 +2,34 @@
 
 use abbe_campaigns::{bad_inputs, batches, compensation, fuzz, hostile, machines, signals, tango};
 
+/// Cases that broke a law once.
+#[test]
+fn what_went_wrong_on_random_machines_stays_right() {
+    let cases = [
+        // Of unknowns that hardly take part in what is lost, one was left out.
+        (17021, 180),
+        // Lobes that are zero in the directions of all touches were estimated from rounding.
+        (18012, 11_988),
+        (18012, 15_793),
+        (18012, 19_959),
+        (18012, 24_193),
+        // Two orientations of an observer agreed with all poses: the positions choose.
+        (18012, 33_647),
+        // Values that the product of two lost directions moves were not marked.
+        (18012, 4544),
+        (18012, 13_891),
+        (18012, 16_371),
+        (18012, 19_302),
+    ];
+    for (seed, case) in cases {
+        let broken = machines::broken(seed, case);
+        assert!(broken.is_empty(), "seed {seed}, case {case}: {broken:?}");
+    }
+}
+
 #[test]
 fn random_machines_keep_the_laws() {
-    let report = machines::run(7, 120);
+    let report = machines::run(7, 600);
     println!("{}", report.text);
     assert!(report.broken.is_empty(), "{}", report.broken.join("\n"));
     // Every end is seen, or the campaign would prove nothing.
