@@ -25,8 +25,8 @@ const ALIKE: f64 = 1e-3;
 /// Part of the largest singular value from which positions tell something.
 const TOLD: f64 = 1e-9;
 
-/// Smallest determinant of what the positions choose: that of a rotation is 1. That of a singular vector that is one is `3^(-3/2)`.
-const LEAST_VOLUME: f64 = 0.01;
+/// Smallest determinant of what the positions choose: that of a rotation is 1.
+const LEAST_VOLUME: f64 = 0.1;
 
 /// If half of the orientations differ by more than this angle, rad, from the nominal machine, the data do not belong to it.
 const AGREEMENT: f64 = 0.1;
@@ -86,7 +86,7 @@ fn mean(matrices: impl ExactSizeIterator<Item = Matrix3<f64>>) -> Matrix3<f64> {
     matrices.sum::<Matrix3<f64>>() / count
 }
 
-/// Orientations of target and observer; none if the numbers are not finite, or several orientations agree with all poses.
+/// Orientations of target and observer; none if the numbers are not finite.
 fn orientations(
     tools: &[Isometry3<f64>],
     seen: &[Isometry3<f64>],
@@ -104,21 +104,19 @@ fn orientations(
         (target, Matrix3::from_iterator(of_observer.row(index).iter().copied()))
     };
     let (targets, observers): (Vec<_>, Vec<_>) = (0..9).filter(is_largest).map(matrices).unzip();
-    let parts = match observers[..] {
-        // Singular vectors have no sign of their own; rotations have.
-        [observer] => vec![observer.determinant().signum()],
-        _ => chosen_by_positions(tools, seen, &observers)?,
+    // Singular vectors have no sign of their own; rotations have.
+    let alone = vec![observers.first()?.determinant().signum()];
+    let parts = match observers.len() {
+        1 => alone,
+        _ => chosen_by_positions(tools, seen, &observers).unwrap_or(alone),
     };
     let sum = |of: &[Matrix3<f64>]| -> Matrix3<f64> { of.iter().zip(&parts).map(|(one, part)| one * *part).sum() };
     let (target, observer) = (sum(&targets), sum(&observers));
-    if observer.determinant() < LEAST_VOLUME {
-        return None;
-    }
     Some((nearest_rotation(target)?, nearest_rotation(observer)?))
 }
 
 /// The coefficients of the combination that the positions choose among matrices M which all agree with the orientations:
-/// `R (M o + pc) - pg = -p` is linear in them and in the positions of target and observer.
+/// `R (M o + pc) - pg = -p` is linear in them and in the positions of target and observer. None where it is no rotation.
 ///
 /// Two orientations agree with all poses where one relative turn is a half turn, and the axis of the others is square to its axis.
 fn chosen_by_positions(
@@ -141,7 +139,8 @@ fn chosen_by_positions(
     let svd = rows.try_svd(true, true, f64::EPSILON, STEPS)?;
     let least = TOLD * svd.singular_values.max();
     let found = svd.solve(&right, least).ok()?;
-    Some(found.iter().take(count).copied().collect())
+    let sum: Matrix3<f64> = observers.iter().zip(found.iter()).map(|(observer, part)| observer * *part).sum();
+    (sum.determinant() > LEAST_VOLUME).then(|| found.iter().take(count).copied().collect())
 }
 
 /// Positions of target and observer, which make `R' pg - pc` equal to `R' p + Rc o` as well as they can; `mean` is that of the
