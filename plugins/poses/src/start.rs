@@ -4,7 +4,8 @@
 //! Orientations come first, then positions by linear least squares. The equations of the orientations are linear in the 18
 //! entries of Rg and Rc (Li, Wang & Wu 2010, Int. J. Phys. Sci. 5:1530); over vectors of fixed length their sum of squares is
 //! least for the singular vectors of the largest singular value of `K = mean(O' (x) T)` (Shah 2013, J. Mechanisms Robotics
-//! 5:031007), 9 x 9, which are brought back to rotations.
+//! 5:031007), 9 x 9, which are brought back to rotations. Where several singular values are the largest, positions choose among
+//! what agrees with all orientations.
 
 use abbe_core::{Error, Result};
 use nalgebra::{
@@ -26,7 +27,7 @@ const ALIKE: f64 = 1e-3;
 const TOLD: f64 = 1e-9;
 
 /// Smallest determinant of what the positions choose: that of a rotation is 1.
-const LEAST_VOLUME: f64 = 0.1;
+const LEAST_DETERMINANT: f64 = 0.1;
 
 /// If half of the orientations differ by more than this angle, rad, from the nominal machine, the data do not belong to it.
 const AGREEMENT: f64 = 0.1;
@@ -140,7 +141,7 @@ fn chosen_by_positions(
     let least = TOLD * svd.singular_values.max();
     let found = svd.solve(&right, least).ok()?;
     let sum: Matrix3<f64> = observers.iter().zip(found.iter()).map(|(observer, part)| observer * *part).sum();
-    (sum.determinant() > LEAST_VOLUME).then(|| found.iter().take(count).copied().collect())
+    (sum.determinant() > LEAST_DETERMINANT).then(|| found.iter().take(count).copied().collect())
 }
 
 /// Positions of target and observer, which make `R' pg - pc` equal to `R' p + Rc o` as well as they can; `mean` is that of the
