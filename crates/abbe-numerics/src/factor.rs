@@ -5,6 +5,7 @@ use faer::{Mat, MatRef};
 
 use crate::accumulate::Accumulator;
 use crate::directions::Directions;
+use crate::left_out::left_out;
 use crate::vector::{norm, norm_of};
 
 /// Triangular factor of `[J | r]`: `J = Q R`, with `Q^T r` and the sum of squares that remains after the full step.
@@ -16,10 +17,6 @@ pub struct Factor {
     rest: f64,
     rows: usize,
 }
-
-/// Part of the largest share in a lost direction from which an unknown may be the one that is left out: what is left is worse
-/// conditioned by at most its inverse.
-const LEAST_SHARE: f64 = 0.1;
 
 /// What one more unknown would do.
 #[derive(Debug, Clone, PartialEq)]
@@ -441,27 +438,14 @@ impl Spectrum {
     }
 
     /// One unknown for every lost direction such that the others are determined without them: of those that take part enough in
-    /// what is lost (a tenth of the largest share), the last in the order of preference goes first.
+    /// what is lost (a tenth of the largest share, or more where the others would then be determined much worse than they can be), the
+    /// last in the order of preference goes first.
     ///
     /// `order` has all unknowns, the most preferred first.
     pub fn dependent(&self, rank: usize, order: &[usize]) -> Vec<usize> {
         let n = self.scale.len();
-        let mut lost: Vec<Vec<f64>> = (0..n).map(|row| (rank..n).map(|k| self.vectors[(row, k)]).collect()).collect();
-        let mut chosen = Vec::new();
-        for _ in rank..n {
-            let free = || order.iter().rev().copied().filter(|row| !chosen.contains(row));
-            let largest = free().map(|row| norm(&lost[row])).fold(0.0, f64::max);
-            let Some(next) = free().find(|&row| norm(&lost[row]) >= LEAST_SHARE * largest) else { break };
-            let length = norm(&lost[next]).max(f64::MIN_POSITIVE);
-            let direction: Vec<f64> = lost[next].iter().map(|value| value / length).collect();
-            for row in &mut lost {
-                let along: f64 = row.iter().zip(&direction).map(|(value, direction)| value * direction).sum();
-                row.iter_mut().zip(&direction).for_each(|(value, direction)| *value -= along * direction);
-            }
-            chosen.push(next);
-        }
-        chosen.sort_unstable();
-        chosen
+        let lost: Vec<Vec<f64>> = (0..n).map(|row| (rank..n).map(|k| self.vectors[(row, k)]).collect()).collect();
+        left_out(&lost, order)
     }
 
     /// Factors from scaled unknowns to the units of the unknowns.

@@ -62,6 +62,7 @@ mod design;
 mod directions;
 mod factor;
 mod gauss_newton;
+mod left_out;
 mod lower;
 mod monte_carlo;
 mod near;
