@@ -303,8 +303,6 @@ impl Artefact for Facets {
         Ok(Some(Arc::new(Touches { info, facets, facet_of_row, radius, model, beside })))
     }
 
-    /// Whether a facet was touched at its point or beside it is judged by the touches that are there: nominal contact, where
-    /// uncertainties are computed, may be 1 mm beside that of all touches.
     fn rows_are_independent(&self) -> bool {
         true
     }
@@ -337,8 +335,8 @@ struct Touches {
 
 impl Touches {
     /// Where each touch lies beside the nominal point, in the plane of its facet or along the axis of its cylinder, by the nominal
-    /// machine, mm. Zero for all touches of a facet that were aimed at its point. Computed when it is asked for: an estimate passes its
-    /// rows many times and needs it once.
+    /// machine, mm. Zero for touches that were aimed at the point. Computed when it is asked for: an estimate passes its rows many times
+    /// and needs it once.
     fn beside(&self) -> &[Vector3<f64>] {
         self.beside.get_or_init(|| beside(&self.facets, &self.facet_of_row, &self.info.layout, self.model.as_ref()))
     }
@@ -355,21 +353,16 @@ fn beside(facets: &[Facet], of_rows: &[usize], layout: &Layout, model: &dyn Kine
     let beside = |(&facet, tip): (&usize, &[f64; 3])| {
         let Facet { point, normal, curved, .. } = &facets[facet];
         let from_point = Vector3::from(*tip) - point;
-        let beside = from_point - from_point.dot(normal) * normal;
-        match curved {
-            None => beside,
+        let in_plane = from_point - from_point.dot(normal) * normal;
+        let beside = match curved {
+            None => in_plane,
             // The equation of a cylinder does not ask for the place along its axis. Round it, and on a sphere, the nominal point counts.
-            Some(Surface { axis, .. }) => axis.map_or(Vector3::zeros(), |axis| axis.dot(&beside) * axis),
-        }
+            Some(Surface { axis, .. }) => axis.map_or(Vector3::zeros(), |axis| axis.dot(&in_plane) * axis),
+        };
+        // A place that is not known is not beside the point.
+        if beside.norm() > AIMED_AT { beside } else { Vector3::zeros() }
     };
-    let mut all: Vec<Vector3<f64>> = of_rows.iter().zip(&poses.positions).map(beside).collect();
-    let mut is_aimed_at = vec![true; facets.len()];
-    // A place that is not known is not beside the point.
-    let far = of_rows.iter().zip(&all).filter(|(_, beside)| beside.norm() > AIMED_AT);
-    far.for_each(|(&facet, _)| is_aimed_at[facet] = false);
-    let aimed = of_rows.iter().zip(&mut all).filter(|(facet, _)| is_aimed_at[**facet]);
-    aimed.for_each(|(_, beside)| *beside = Vector3::zeros());
-    all
+    of_rows.iter().zip(&poses.positions).map(beside).collect()
 }
 
 impl Observations for Touches {
