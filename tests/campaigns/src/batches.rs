@@ -204,7 +204,10 @@ impl Said {
         let is_lost = |message: &String| message.contains("does not converge");
         match &self.outcome {
             Err(message) => !is_lost(message),
-            Ok(outcome) => !outcome.failures.iter().any(|failure| is_lost(&failure.error.message)),
+            Ok(outcome) => {
+                let of_folds = outcome.verdicts.iter().flat_map(|verdict| &verdict.remarks);
+                !outcome.failures.iter().map(|failure| &failure.error.message).chain(of_folds).any(is_lost)
+            }
         }
     }
 
@@ -222,13 +225,8 @@ fn one(seed: u64, number: u64) -> Ended {
     let folder = folder.path().join("measured");
     let held = Said::new(&folder, &recipe);
     let mut ended = Ended { kind, end: end(&held), broken: Vec::new(), apart: 0.0 };
-    let sizes = [1_000_000, random.count(rows / 3 + 1, rows + 1), random.count(3, rows / 4 + 5)];
-    for size in sizes {
-        for ingest in ["data", "data-2"] {
-            if recipe["stages"].get(ingest).is_some() {
-                recipe["stages"][ingest]["batch_rows"] = json!(size);
-            }
-        }
+    for size in sizes(random, rows) {
+        read_in_batches(&mut recipe, size);
         let batched = Said::new(&folder, &recipe);
         let (broken, apart) = compared(&held, &batched);
         ended.apart = ended.apart.max(apart);
@@ -242,6 +240,34 @@ fn one(seed: u64, number: u64) -> Ended {
         ended.broken.extend(broken.into_iter().map(|law| format!("{}, {size} rows a batch: {law}", ended.kind)));
     }
     ended
+}
+
+/// How many rows a batch has: all, up to half of them or more, few.
+fn sizes(random: &mut Random, rows: usize) -> [usize; 3] {
+    [1_000_000, random.count(rows / 3 + 1, rows + 1), random.count(3, rows / 4 + 5)]
+}
+
+fn read_in_batches(recipe: &mut Value, size: usize) {
+    for ingest in ["data", "data-2"] {
+        if recipe["stages"].get(ingest).is_some() {
+            recipe["stages"][ingest]["batch_rows"] = json!(size);
+        }
+    }
+}
+
+/// Writes a case into a folder: its measurement, `held.yaml`, and `batches-N.yaml` with N rows a batch. Nothing if it cannot be simulated.
+pub fn write(seed: u64, number: u64, folder: &Path) {
+    let random = &mut Random::new(seed, number);
+    let Some(Measured { mut recipe, rows, .. }) = measured(random, seed, number, folder) else { return };
+    let write = |name: &str, recipe: &Value| {
+        let text = serde_json::to_string_pretty(recipe).expect("JSON");
+        fs::write(folder.join("measured").join(name), text).expect("the folder is there");
+    };
+    write("held.yaml", &recipe);
+    for size in sizes(random, rows) {
+        read_in_batches(&mut recipe, size);
+        write(&format!("batches-{size}.yaml"), &recipe);
+    }
 }
 
 fn end(said: &Said) -> String {

@@ -1,5 +1,5 @@
-//! Runs a campaign: its name, the number of cases, the seed. Ends with status 1 if a law is broken. `machine`, the number of a case,
-//! the seed and a folder write one case there.
+//! Runs a campaign: its name, the number of cases, the seed. Ends with status 1 if a law is broken. `machine` or
+//! `batch`, the number of a case, the seed and a folder write one case there.
 //!
 //! `sizes` has the largest size for a number of cases. Campaigns that start the program start this one again, which is Abbe where `ABBE_CAMPAIGN_PROGRAM` is set.
 
@@ -15,11 +15,14 @@ fn main() -> ExitCode {
     }
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let number = |index: usize| arguments.get(index).and_then(|text| text.parse::<u64>().ok());
-    if let (Some("machine"), Some(case), Some(seed), Some(folder)) =
+    if let (Some(kind @ ("machine" | "batch")), Some(case), Some(seed), Some(folder)) =
         (arguments.first().map(String::as_str), number(1), number(2), arguments.get(3))
     {
         std::fs::create_dir_all(folder).expect("the folder can be made");
-        machines::write(seed, case, folder.as_ref());
+        match kind {
+            "machine" => drop(machines::write(seed, case, folder.as_ref())),
+            _ => batches::write(seed, case, folder.as_ref()),
+        }
         return ExitCode::SUCCESS;
     }
     if let (Some("fuzz-seeds"), Some(folder)) = (arguments.first().map(String::as_str), arguments.get(1)) {
@@ -44,7 +47,7 @@ fn main() -> ExitCode {
         (Some("touches"), Some(count), Some(seed)) => touches::run(&program, seed, count),
         _ => {
             eprintln!(
-                "usage: abbe-campaigns machines|batches|compensation|tango|bad-inputs|signals|hostile|fleet|sizes|spindle|touches COUNT SEED, fuzz COUNT SEED [TARGET], fuzz-seeds FOLDER, or machine CASE SEED FOLDER"
+                "usage: abbe-campaigns machines|batches|compensation|tango|bad-inputs|signals|hostile|fleet|sizes|spindle|touches COUNT SEED, fuzz COUNT SEED [TARGET], fuzz-seeds FOLDER, or machine|batch CASE SEED FOLDER"
             );
             return ExitCode::from(2);
         }
