@@ -247,6 +247,12 @@ fn mistakes_in_a_fleet_have_their_places() {
         write(&manifest, &text);
         assert_ne!(quiet(at, &["fleet", "run", "fleet.manifest.jsonl"]).status, 0, "{case}");
     }
+    // A line that is no JSON is told by its place in the file.
+    write(&manifest, &text.replacen("\"variables\":", "\"variables\" ", 1));
+    let printed = quiet(at, &["fleet", "status", "fleet.manifest.jsonl"]);
+    let column = text.lines().nth(1).and_then(|line| line.find("\"variables\":")).expect("a job") + 13;
+    let place = format!("fleet.manifest.jsonl:2:{column}");
+    assert!(printed.stderr.contains(&place) && !printed.stderr.contains("at line"), "{place}: {}", printed.stderr);
     // A line that was changed by hand is not the job that it says.
     write(&manifest, &text.replace("data/m00000/w1.csv", "data/m00001/w1.csv"));
     let printed = quiet(at, &["fleet", "run", "fleet.manifest.jsonl", "--retries", "0"]);

@@ -61,6 +61,7 @@ pub struct RunRecord {
 
 /// A file that a run read or wrote.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(expecting = "a map with `file` and `sha256`")]
 pub struct FileRecord {
     /// Of a file that was read its path as the run had it, of one that was written its path in the folder of results, with `/`.
     pub file: String,

@@ -325,14 +325,27 @@ impl Manifest {
         }
     }
 
+    /// The job of a line.
+    ///
+    /// # Errors
+    /// For a line that is no job, with its place.
+    pub fn job(&self, index: usize, line: &str) -> Result<Job> {
+        serde_json::from_str(line).map_err(|error| {
+            let (message, column) = (error.to_string(), Some(error.column().max(1)));
+            let message = message.rsplit_once(" at line ").map_or(message.as_str(), |(message, _)| message);
+            let error = Error::data(format!("this is no job: {message}"));
+            let error = error.at(&self.path, index + 2, column);
+            error.help("write the manifest anew: `abbe fleet plan`")
+        })
+    }
+
     /// Calls `take` with jobs.
     ///
     /// # Errors
     /// As [`Manifest::each_line`], and for a line that is no job.
     pub fn each_job(&self, range: Range<usize>, mut take: impl FnMut(usize, Job) -> Result<()>) -> Result<()> {
         self.each_line(range, |index, line| {
-            let job: Job = serde_json::from_str(&line)
-                .map_err(|error| Error::data(format!("this is no job: {error}")).at(&self.path, index + 2, None))?;
+            let job = self.job(index, &line)?;
             match job.family < self.head.families.len() {
                 true => take(index, job),
                 false => Err(Error::data("there is no such family").at(&self.path, index + 2, None)),

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use abbe_core::{Error, Result};
 
-use crate::manifest::{Job, Manifest};
+use crate::manifest::Manifest;
 use crate::store::Store;
 use crate::worker::Answer;
 
@@ -67,10 +67,7 @@ pub fn supervise(
     let (mut tasks, mut finished) = (VecDeque::new(), Finished::default());
     let mut refused = Vec::new();
     manifest.each_line(range, |index, line| {
-        let job: Job = serde_json::from_str(&line).map_err(|error| {
-            let error = Error::data(format!("this is no job: {error}")).at(&manifest.path, index + 2, None);
-            error.help("write the manifest anew: `abbe fleet plan`")
-        })?;
+        let job = manifest.job(index, &line)?;
         match job.refused {
             Some(reason) => {
                 store.fail(&job.job, &reason)?;
