@@ -105,16 +105,21 @@ fn a_run_of_a_diagonal_or_an_axis_that_is_off_is_named() {
     {
         let recipe = Variant::of(&recipes()[name]);
         assert!(!run(&recipe).1.contains(words), "{name}");
-        for number in ["1", "3", "5"] {
+        for (number, way) in [("1", None), ("3", Some("1")), ("5", None), ("2", Some("-1"))] {
             let (folder, mut recipe) = (temporary(), recipe.clone());
             let off = |header: &[String], rows: &mut Vec<Vec<String>>| {
-                let (of_run, reading) = (place(header, "run"), place(header, reading));
-                rows.iter_mut().filter(|row| row[of_run] == number).for_each(|row| add(&mut row[reading], 40.0));
+                let [of_run, direction, reading] = ["run", "direction", reading].map(|name| place(header, name));
+                let is_off =
+                    |row: &&mut Vec<String>| row[of_run] == number && way.is_none_or(|way| row[direction] == way);
+                rows.iter_mut().filter(is_off).for_each(|row| add(&mut row[reading], 40.0));
             };
             let file = with_rows(&recipe.path(stage, "path"), folder.path(), &off);
             recipe.stage(stage)["path"] = json!(file);
             let said = run(&recipe).1;
             assert!(said.contains(words) && said.contains(&format!("run {number} is ")), "{name} {number}: {said}");
+            let where_it_is =
+                way.map_or("at all targets, and".to_owned(), |way| format!("with `direction` {way}, and"));
+            assert!(said.contains(&where_it_is), "{name} {number}: {said}");
         }
     }
 }

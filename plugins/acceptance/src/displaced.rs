@@ -20,6 +20,8 @@ const ROUNDING: f64 = 1e-3;
 pub struct Off {
     /// Its place among the runs.
     pub run: usize,
+    /// The direction (up or not) that is off alone; none if all of the run is.
+    pub way: Option<bool>,
     /// What it is off, and what the others are from each other at most, µm or µrad.
     pub by: f64,
     pub usual: f64,
@@ -45,9 +47,22 @@ fn off(runs: &[&OfRun], run: usize) -> Option<(f64, f64)> {
     Some((shift, median(apart.iter().map(|own| (own - shift).abs()).collect())))
 }
 
-/// A run that is off by a number, the same at all targets, far more than the others are: its zero was lost. A machine that warms up is
-/// off more and more, also within a run. Readings in steps of `digit` tell nothing below.
+/// A run, or one direction of it, that is off by a number, the same at all targets, far more than the others are: its zero was lost. A
+/// machine that warms up is off more and more, also within a run. Readings in steps of `digit` tell nothing below.
 pub fn run_off(runs: &[&OfRun], digit: f64) -> Option<Off> {
+    let of_one_way = |way: bool| {
+        let kept = |run: &&OfRun| {
+            run.iter().filter(|((_, up), _)| *up == way).map(|(key, reading)| (*key, *reading)).collect()
+        };
+        let kept: Vec<OfRun> = runs.iter().map(kept).collect();
+        let off = off_alike(&kept.iter().collect::<Vec<_>>(), digit)?;
+        Some(Off { way: Some(way), ..off })
+    };
+    off_alike(runs, digit).or_else(|| [true, false].into_iter().find_map(of_one_way))
+}
+
+/// A run all of whose readings are off by the same.
+fn off_alike(runs: &[&OfRun], digit: f64) -> Option<Off> {
     if runs.len() < OTHERS + 1 {
         return None;
     }
@@ -57,7 +72,7 @@ pub fn run_off(runs: &[&OfRun], digit: f64) -> Option<Off> {
         let (low, high) = others().fold((f64::MAX, f64::MIN), |(low, high), (by, _)| (low.min(by), high.max(by)));
         let scatter = others().map(|(_, scatter)| scatter).fold(all[run].1, f64::max);
         let (by, usual) = (all[run].0, (high - low).max(scatter).max(digit).max(ROUNDING));
-        (by.abs() > FAR * usual).then_some(Off { run, by, usual })
+        (by.abs() > FAR * usual).then_some(Off { run, way: None, by, usual })
     })
 }
 
@@ -192,6 +207,23 @@ mod tests {
             runs[wrong].values_mut().for_each(|reading| *reading += by);
             let told = run_off(&runs.iter().collect::<Vec<_>>(), digits(seed));
             assert!(told.as_ref().is_none_or(|told| told.run == wrong), "{seed}: {told:?}");
+            all += usize::from(runs.len() > OTHERS);
+            found += usize::from(told.is_some());
+        }
+        assert!(3 * found > all, "{found} of {all}");
+    }
+
+    #[test]
+    fn a_direction_of_a_run_that_is_off_is_found() {
+        let (mut found, mut all) = (0, 0);
+        for seed in 0..2_000 {
+            let (mut runs, _, mut random) = axis(seed);
+            let (wrong, way) = (seed as usize % runs.len(), seed % 4 < 2);
+            let by = 30.0 * random.normal();
+            let of_way = runs[wrong].iter_mut().filter(|((_, up), _)| *up == way);
+            of_way.for_each(|(_, reading)| *reading += by);
+            let told = run_off(&runs.iter().collect::<Vec<_>>(), digits(seed));
+            assert!(told.as_ref().is_none_or(|told| (told.run, told.way) == (wrong, Some(way))), "{seed}: {told:?}");
             all += usize::from(runs.len() > OTHERS);
             found += usize::from(told.is_some());
         }

@@ -220,9 +220,14 @@ impl Readings {
     fn displaced_run(&self) -> Option<String> {
         let runs: Vec<&OfRun> = self.runs.iter().map(|(_, readings)| readings).collect();
         let (off, unit) = (run_off(&runs, self.digit())?, self.unit);
+        let way = match off.way {
+            None => "",
+            Some(true) => " in the rows with `direction` 1",
+            Some(false) => " in the rows with `direction` -1",
+        };
         Some(format!(
-            "run {} is {:.2} {unit} off at all targets, and the others are within {:.2} {unit} of each other: was the zero of the \
-             instrument lost before or after it?",
+            "run {} is {:.2} {unit} off at all targets{way}, and the others are within {:.2} {unit} of each other: was the zero of \
+             the instrument lost before or after it?",
             self.runs[off.run].0, off.by, off.usual
         ))
     }
