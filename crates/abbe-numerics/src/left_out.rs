@@ -17,7 +17,7 @@ const WORSE: f64 = 10.0;
 /// may be bad together: then more is asked of each.
 pub(crate) fn left_out(lost: &[Vec<f64>], order: &[usize]) -> Vec<usize> {
     let choices = SHARES.map(|share| chosen(lost, order, share));
-    let worst = |choice: &Vec<usize>| smallest_singular_value(choice.iter().map(|&row| &lost[row]));
+    let worst = |choice: &Vec<usize>| smallest_singular_value(lost, choice);
     let asked = choices.last().map_or(0.0, worst) / WORSE;
     let [by_preference @ .., by_share] = &choices;
     by_preference.iter().find(|choice| worst(choice) >= asked).unwrap_or(by_share).clone()
@@ -43,13 +43,10 @@ fn chosen(lost: &[Vec<f64>], order: &[usize], share: f64) -> Vec<usize> {
     chosen
 }
 
-/// The smallest singular value of some rows; 0 where there is none.
-fn smallest_singular_value<'a>(rows: impl ExactSizeIterator<Item = &'a Vec<f64>> + Clone) -> f64 {
-    let columns = rows.clone().next().map_or(0, Vec::len);
-    let mut matrix = Mat::zeros(rows.len(), columns);
-    for (index, row) in rows.enumerate() {
-        row.iter().enumerate().for_each(|(column, &value)| matrix[(index, column)] = value);
-    }
+/// The smallest singular value of some of the rows; 0 where there is none.
+fn smallest_singular_value(lost: &[Vec<f64>], rows: &[usize]) -> f64 {
+    let columns = lost.first().map_or(0, Vec::len);
+    let matrix = Mat::from_fn(rows.len(), columns, |row, column| lost[rows[row]][column]);
     matrix.singular_values().ok().and_then(|values| values.last().copied()).unwrap_or(0.0)
 }
 
@@ -75,7 +72,7 @@ mod tests {
             let lost = lost(random, 14, 1 + (seed % 7) as usize);
             let mut order: Vec<usize> = (0..lost.len()).collect();
             order.sort_by_key(|_| random.uniform().to_bits());
-            let smallest = |rows: &[usize]| smallest_singular_value(rows.iter().map(|&row| &lost[row]));
+            let smallest = |rows: &[usize]| smallest_singular_value(&lost, rows);
             let best = smallest(&chosen(&lost, &order, 0.9));
             let left_out = left_out(&lost, &order);
             assert_eq!(left_out.len(), lost[0].len(), "seed {seed}");

@@ -242,11 +242,12 @@ fn one(seed: u64, number: u64) -> Ended {
     ended
 }
 
-/// How many rows a batch has: all, up to half of them or more, few.
+/// How many rows a batch has: all, a third of them or more, few.
 fn sizes(random: &mut Random, rows: usize) -> [usize; 3] {
     [1_000_000, random.count(rows / 3 + 1, rows + 1), random.count(3, rows / 4 + 5)]
 }
 
+/// Has the recipe read its measurements in batches of so many rows.
 fn read_in_batches(recipe: &mut Value, size: usize) {
     for ingest in ["data", "data-2"] {
         if recipe["stages"].get(ingest).is_some() {
