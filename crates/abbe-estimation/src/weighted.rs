@@ -135,75 +135,85 @@ impl<'a> Weighted<'a> {
         ranges: &[IndexRange<EquationIndex>],
     ) -> Result<Vec<Factor>> {
         self.check_unknowns()?;
-        let count = self.unknowns();
-        let parts = self.parts();
-        if parts > 1 {
-            return self.factors_in(parts, x, weights, ranges);
+        if self.is_correlated() || !self.columns.is_empty() {
+            let mut accumulators = self.accumulators(ranges, 1);
+            self.linearise_compact(x, |block| push(&block, |_| 1.0, weights, (ranges, &mut accumulators)))?;
+            return Ok(accumulators.into_iter().map(Accumulator::finish).collect());
         }
-        let begin = |range: &IndexRange<EquationIndex>| Accumulator::new(count, range.len());
-        let mut accumulators: Vec<Accumulator> = ranges.iter().map(begin).collect();
-        self.linearise_compact(x, |block| {
-            for (equation, residual, line) in block.lines() {
-                let weight = weights.map_or(1.0, |weights| weights[equation].sqrt());
-                for (range, accumulator) in ranges.iter().zip(&mut accumulators) {
-                    if range.contains(equation) {
-                        accumulator.push_some(block.unknowns, line, residual, weight);
-                    }
-                }
+        // Rows as they come need not be copied once more.
+        let scale = |equation: EquationIndex| 1.0 / self.uncertainties[equation];
+        let take = |block: &CompactBlock<'_>, (accumulators, broken): &mut Taken| {
+            *broken = broken.or_else(|| broken_in(block));
+            push(block, scale, weights, (ranges, accumulators));
+        };
+        let parts = self.parts();
+        let (accumulators, broken) = match parts {
+            1 => {
+                let mut all = (self.accumulators(ranges, 1), None);
+                self.problem.linearise_compact(x, |block| take(&block, &mut all))?;
+                all
             }
-        })?;
-        Ok(accumulators.into_iter().map(Accumulator::finish).collect())
+            _ => {
+                let found = self.problem.linearise_in_parts(x, parts, |rows| {
+                    let mut part = (self.accumulators(ranges, parts), None);
+                    rows.linearise(|block| take(&block, &mut part))?;
+                    part.0.iter_mut().for_each(Accumulator::reduce);
+                    Ok(part)
+                })?;
+                found.into_iter().reduce(joined).unwrap_or_default()
+            }
+        };
+        match broken {
+            Some(equation) => Err(not_finite(self.problem, equation)),
+            None => Ok(accumulators.into_iter().map(Accumulator::finish).collect()),
+        }
+    }
+
+    /// Room for the rows of some ranges, in so many parts.
+    fn accumulators(&self, ranges: &[IndexRange<EquationIndex>], parts: usize) -> Vec<Accumulator> {
+        ranges.iter().map(|range| Accumulator::new(self.unknowns(), range.len().div_ceil(parts))).collect()
     }
 
     /// Parts of the rows that are factorised by themselves, before their triangles are; one where that would make more work. Their number
     /// does not depend on that of threads.
     fn parts(&self) -> usize {
-        if self.is_correlated() || !self.columns.is_empty() {
-            return 1;
-        }
         let (rows, unknowns) = (self.rows(), self.unknowns().max(1));
         (rows / (ROWS_OF_PART * unknowns)).min(rows * unknowns * unknowns / WORK_OF_PART).clamp(1, MOST_PARTS)
     }
+}
 
-    /// The factors of some ranges of rows, which are not correlated and have no more columns, in parts that threads share.
-    fn factors_in(
-        &self,
-        parts: usize,
-        x: &[f64],
-        weights: Option<&[f64]>,
-        ranges: &[IndexRange<EquationIndex>],
-    ) -> Result<Vec<Factor>> {
-        let rows_of = |range: &IndexRange<EquationIndex>| range.len().div_ceil(parts);
-        let found = self.problem.linearise_in_parts(x, parts, |rows| {
-            let begin = |range| Accumulator::new(self.unknowns(), rows_of(range));
-            let (mut accumulators, mut broken): (Vec<Accumulator>, _) = (ranges.iter().map(begin).collect(), None);
-            rows.linearise(|block| {
-                for (equation, residual, line) in block.lines() {
-                    if line.iter().fold(!residual.is_finite(), |bad, derivative| bad | !derivative.is_finite()) {
-                        broken.get_or_insert(equation);
-                    }
-                    let weight = weights.map_or(1.0, |weights| weights[equation].sqrt()) / self.uncertainties[equation];
-                    for (range, accumulator) in ranges.iter().zip(&mut accumulators) {
-                        if range.contains(equation) {
-                            accumulator.push_some(block.unknowns, line, residual, weight);
-                        }
-                    }
-                }
-            })?;
-            accumulators.iter_mut().for_each(Accumulator::reduce);
-            Ok((accumulators, broken))
-        })?;
-        if let Some(equation) = found.iter().find_map(|(_, broken)| *broken) {
-            return Err(not_finite(self.problem, equation));
-        }
-        let mut all: Vec<Accumulator> = Vec::new();
-        for (part, _) in found {
-            match all.is_empty() {
-                true => all = part,
-                false => all.iter_mut().zip(part).for_each(|(all, part)| all.append(part)),
+/// Rows of some ranges, and the first equation that has no finite value.
+type Taken = (Vec<Accumulator>, Option<EquationIndex>);
+
+/// The rows of two parts, one after the other.
+fn joined((mut rows, broken): Taken, (more, also_broken): Taken) -> Taken {
+    rows.iter_mut().zip(more).for_each(|(rows, more)| rows.append(more));
+    (rows, broken.or(also_broken))
+}
+
+/// The first equation of a block without a finite value.
+fn broken_in(block: &CompactBlock<'_>) -> Option<EquationIndex> {
+    // To test all values is faster than to stop at the first one.
+    let is_broken =
+        |residual: f64, line: &[f64]| line.iter().fold(!residual.is_finite(), |bad, value| bad | !value.is_finite());
+    block.lines().find(|(_, residual, line)| is_broken(*residual, line)).map(|(equation, ..)| equation)
+}
+
+/// Adds the rows of a block, each multiplied by its scale and by the root of its statistical weight, to those of the ranges that they
+/// are in.
+fn push(
+    block: &CompactBlock<'_>,
+    scale: impl Fn(EquationIndex) -> f64,
+    weights: Option<&[f64]>,
+    (ranges, accumulators): (&[IndexRange<EquationIndex>], &mut [Accumulator]),
+) {
+    for (equation, residual, line) in block.lines() {
+        let weight = weights.map_or(1.0, |weights| weights[equation].sqrt()) * scale(equation);
+        for (range, accumulator) in ranges.iter().zip(&mut *accumulators) {
+            if range.contains(equation) {
+                accumulator.push_some(block.unknowns, line, residual, weight);
             }
         }
-        Ok(all.into_iter().map(Accumulator::finish).collect())
     }
 }
 
@@ -276,11 +286,8 @@ impl Weighted<'_> {
             unknowns.clear();
             unknowns.extend(block.unknowns.iter().copied().chain(more.clone()));
             let mut first = block.first;
+            broken = broken.or_else(|| broken_in(&block));
             for (equation, residual, line) in block.lines() {
-                // To test all values is faster than to stop at the first one.
-                if line.iter().fold(!residual.is_finite(), |bad, derivative| bad | !derivative.is_finite()) {
-                    broken.get_or_insert(equation);
-                }
                 let values = line.iter().copied().chain(self.columns.iter().map(|column| column[equation]));
                 if let Some((block, place)) = self.place.get(equation.0).copied().flatten() {
                     let waiting = &mut waiting[block][place * width..(place + 1) * width];

@@ -39,7 +39,7 @@ pub struct Evaluations {
     by_command: Vec<f64>,
     /// d(rotation vector)/d(command) of every axis.
     turn_by_command: Vec<f64>,
-    /// Where the errors of each slot act; empty if no derivatives are wanted. Bed coordinates: the directions of the three
+    /// Where the errors of each slot act; empty if nothing is recorded. Bed coordinates: the directions of the three
     /// translations in the frame just before it, the axes of the rotations ea and eb, which act in sequence (the axis of ec is the
     /// third direction), and the point that they turn about.
     slots: Vec<f64>,
@@ -206,7 +206,8 @@ impl Evaluations {
 
     /// The exact poses of a chain, with `derivatives` at these errors.
     pub fn evaluate(&mut self, chain: &Chain, given: Given<'_>, derivatives: Derivatives<'_>) {
-        self.make_room(chain, derivatives);
+        let recorded = if derivatives == Derivatives::None { 0 } else { chain.slots() };
+        self.make_room(chain, derivatives, recorded);
         let (poses, whole) = (self.poses, Whole { chain, given, derivatives, out: self });
         match poses {
             1 => whole.with_simd(Scalar),
@@ -214,7 +215,8 @@ impl Evaluations {
         }
     }
 
-    fn make_room(&mut self, chain: &Chain, derivatives: Derivatives<'_>) {
+    /// Room for what is wanted, and for what so many slots record.
+    fn make_room(&mut self, chain: &Chain, derivatives: Derivatives<'_>, recorded: usize) {
         let (axes, wants) = (chain.axes().len(), derivatives != Derivatives::None);
         let (wanted, turns) = match derivatives {
             Derivatives::None => (0, 0),
@@ -222,7 +224,7 @@ impl Evaluations {
             Derivatives::OfPositionAndRotation(slots) => (slots.len(), slots.len()),
         };
         let vectors = 3 * self.poses;
-        self.slots.resize(vectors * OF_SLOT * wanted, 0.0);
+        self.slots.resize(vectors * OF_SLOT * recorded, 0.0);
         self.motions.resize(vectors * OF_MOTION * axes, 0.0);
         self.turns.resize(axes, Turn::default());
         self.by_error.resize(vectors * 6 * wanted, 0.0);

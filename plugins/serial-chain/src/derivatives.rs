@@ -1,5 +1,7 @@
 //! Derivatives of poses to parameters and commands.
 
+use std::ops::Range;
+
 use abbe_core::Variable;
 use abbe_kinematics::ByErrorAndCommand;
 use nalgebra::Vector3;
@@ -10,8 +12,11 @@ use crate::model::{CoefficientPlace, ParameterUse, SerialChain, Source};
 /// Variables to which derivatives are wanted, each with its index among all of them.
 #[derive(Default)]
 pub(crate) struct Wanted {
-    pub coefficients: Vec<(usize, CoefficientPlace)>,
-    pub arguments: Vec<Argument>,
+    /// Coefficients of one error stand together.
+    coefficients: Vec<(usize, CoefficientPlace)>,
+    /// Slot and component of every error that they are of, with their range.
+    errors: Vec<((usize, usize), Range<usize>)>,
+    arguments: Vec<Argument>,
 }
 
 /// A variable that functions have as their argument: a shape, or the command of an axis.
@@ -70,6 +75,14 @@ impl SerialChain {
                 }
             }
         }
+        let mut end = 0;
+        sorted.errors = (sorted.coefficients.chunk_by(of_one_error))
+            .map(|run| {
+                let first = end;
+                end += run.len();
+                ((run[0].1.slot, run[0].1.component), first..end)
+            })
+            .collect();
         sorted
     }
 
@@ -110,9 +123,9 @@ impl Wanted {
     /// Writes the derivatives of position or rotation, as in `by`, with the values of the functions and the slopes at the pose.
     /// Derivatives that are zero are not written.
     pub fn write(&self, functions: ValuesAtPose<'_>, by: ByErrorAndCommand<'_>, out: &mut [[f64; 3]]) {
-        for coefficients in self.coefficients.chunk_by(of_one_error) {
-            let by_error = by.error(coefficients[0].1.slot, coefficients[0].1.component);
-            for (index, place) in coefficients {
+        for ((slot, component), run) in &self.errors {
+            let by_error = by.error(*slot, *component);
+            for (index, place) in &self.coefficients[run.clone()] {
                 let function = functions.of(place.function);
                 // Of piecewise functions most are zero at a given command.
                 if function != 0.0 {
@@ -129,10 +142,11 @@ impl Wanted {
 
     /// The terms of the derivatives: variable and effect. The coefficients of an error share one, an argument has its own.
     pub fn terms(&self) -> impl Iterator<Item = (usize, usize)> {
-        let errors = self.coefficients.chunk_by(of_one_error);
-        let of_errors =
-            errors.enumerate().flat_map(|(effect, run)| run.iter().map(move |(variable, _)| (*variable, effect)));
-        let first = self.coefficients.chunk_by(of_one_error).count();
+        let errors = self.errors.iter().enumerate();
+        let of_errors = errors.flat_map(|(effect, (_, run))| {
+            self.coefficients[run.clone()].iter().map(move |(variable, _)| (*variable, effect))
+        });
+        let first = self.errors.len();
         let of_arguments = self.arguments.iter().enumerate();
         of_errors.chain(of_arguments.map(move |(index, argument)| (argument.index, first + index)))
     }
@@ -145,8 +159,7 @@ impl Wanted {
 
     /// Adds the effects at a pose, on position or rotation as in `by`.
     pub fn add_effects(&self, by: ByErrorAndCommand<'_>, out: &mut Vec<[f64; 3]>) {
-        let errors = self.coefficients.chunk_by(of_one_error).map(|run| run[0].1);
-        out.extend(errors.map(|place| <[f64; 3]>::from(by.error(place.slot, place.component))));
+        out.extend(self.errors.iter().map(|((slot, component), _)| <[f64; 3]>::from(by.error(*slot, *component))));
         out.extend(self.arguments.iter().map(|argument| argument.effect(by)));
     }
 }

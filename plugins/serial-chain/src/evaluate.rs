@@ -152,31 +152,23 @@ impl SerialChain {
     ) -> std::result::Result<(), (usize, Error)> {
         let Work { functions, arguments, of_pose, room, poses, .. } = work;
         let (width, columns) = (poses.poses(), self.info.status.len());
-        let mut unknown: Option<(usize, Error)> = None;
-        for basis in bases.iter().map(|&basis| &self.bases[basis]) {
-            arguments.resize(basis.arguments.len() * width, 0.0);
-            for (place, status) in statuses.chunks_exact(columns).enumerate() {
-                let at = At { status, values };
-                match self.arguments_known(basis, at, room) {
-                    // Places without a pose get what the first one has: nothing is evaluated where it is not known.
-                    Ok(own) => {
-                        let places = if place == 0 { 0..width } else { place..place + 1 };
-                        let all = arguments.chunks_exact_mut(width).zip(own);
-                        all.for_each(|(argument, own)| argument[places.clone()].fill(*own));
-                    }
-                    Err(error) if unknown.as_ref().is_none_or(|(first, _)| place < *first) => {
-                        unknown = Some((place, error));
-                    }
-                    Err(_) => (),
-                }
-            }
-            if unknown.is_some() {
-                continue;
-            }
+        let of_bases = || bases.iter().map(|&basis| &self.bases[basis]);
+        let refused = of_bases().filter_map(|basis| {
+            let mut at_poses = statuses.chunks_exact(columns).enumerate();
+            at_poses.find_map(|(place, status)| {
+                let known = self.arguments_known(basis, At { status, values }, room);
+                known.err().map(|error| (place, error))
+            })
+        });
+        if let Some(first) = refused.min_by_key(|(place, _)| *place) {
+            return Err(first);
+        }
+        for basis in of_bases() {
+            basis.arguments_side_by_side(statuses, columns, (values, width), arguments);
             let own = &mut functions[basis.first * width..(basis.first + basis.count) * width];
             basis.functions.values_side_by_side(width, arguments, of_pose, own);
         }
-        unknown.map_or(Ok(()), Err)
+        Ok(())
     }
 
     /// Writes commands and tips of poses to their places among those that are evaluated together. Fails with the first pose that has no tip.

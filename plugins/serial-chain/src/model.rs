@@ -89,13 +89,20 @@ const BEYOND: f64 = 0.01;
 
 impl Range {
     /// Refuses a command outside the range, where the functions are not known.
+    #[inline]
     fn check(&self, status: &[f64], axes: &[Axis]) -> Result<()> {
         let (command, [from, to]) = (status[self.axis], self.ends);
         let allowed = BEYOND * (to - from);
         // A command that is not a number is reported elsewhere.
-        if !(command < from - allowed || command > to + allowed) {
-            return Ok(());
+        match command < from - allowed || command > to + allowed {
+            true => Err(self.refused(command, axes)),
+            false => Ok(()),
         }
+    }
+
+    /// The error for a command outside the range.
+    fn refused(&self, command: f64, axes: &[Axis]) -> Error {
+        let [from, to] = self.ends;
         let axis = &axes[self.axis];
         let (unit, factor) = if axis.kind == AxisKind::Rotary { ("deg", 1f64.to_degrees()) } else { ("mm", 1.0) };
         let [from, to] = [from, to].map(|end| (end * factor * 1e6).round() / 1e6);
@@ -107,8 +114,7 @@ impl Range {
             "{} is needed with {} at {command} {unit}, beyond its range of {from} to {to} {unit}",
             self.error, axis.name
         );
-        Err(Error::data(message)
-            .help("widen the range of the axis or of the line under `errors`, or leave the row out"))
+        Error::data(message).help("widen the range of the axis or of the line under `errors`, or leave the row out")
     }
 }
 
@@ -200,6 +206,7 @@ impl SerialChain {
     }
 
     /// The arguments of a basis at a status. Fails where its functions are not known.
+    #[inline]
     pub(crate) fn arguments_known<'a>(
         &self,
         basis: &FunctionBasis,
@@ -240,6 +247,7 @@ impl FunctionBasis {
         of_range || self.arguments.iter().any(|source| matches!(source, Source::Status(column) if changes[*column]))
     }
 
+    #[inline]
     pub fn arguments_at<'a>(&self, status: &'a [f64], values: &[f64], room: &'a mut Room) -> &'a [f64] {
         // Nearly all functions have one argument: the command of an axis.
         if let [Source::Status(index)] = self.arguments[..] {
@@ -260,6 +268,27 @@ impl FunctionBasis {
             };
         }
         arguments
+    }
+
+    /// Writes the arguments at poses that are evaluated together, one after another in `statuses`: arguments x `width` places. Places
+    /// without a pose get what the first one has.
+    pub fn arguments_side_by_side(
+        &self,
+        statuses: &[f64],
+        columns: usize,
+        (values, width): (&[f64], usize),
+        out: &mut Vec<f64>,
+    ) {
+        out.clear();
+        for source in &self.arguments {
+            match source {
+                Source::Status(column) => {
+                    let at = |place: usize| statuses.get(place * columns + column).copied();
+                    out.extend((0..width).map(|place| at(place).unwrap_or(statuses[*column])));
+                }
+                Source::Parameter(index) => out.extend(std::iter::repeat_n(values[*index], width)),
+            }
+        }
     }
 
     /// Slot, component and value of every error that the coefficients contribute to, with these values of the functions.

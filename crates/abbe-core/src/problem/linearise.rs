@@ -211,7 +211,7 @@ impl Problem {
         columns.each_own(index, &work.equations, |equation, (column, factor), derivative| {
             jacobian[equation * count + place(column)] += factor * derivative;
         });
-        out.keep_columns(&jacobian, &of_rows);
+        out.keep_columns(&mut jacobian, &of_rows);
         work.jacobian = jacobian;
         Ok(())
     }
@@ -429,8 +429,8 @@ impl Linearised {
         CompactBlock { first, residuals, unknowns, derivatives }
     }
 
-    /// Takes the columns of a matrix (row by row, these columns) that are not zero.
-    fn keep_columns(&mut self, jacobian: &[f64], columns: &[usize]) {
+    /// Takes the columns of a matrix (row by row, these columns) that are not zero; the room that it had before is left in its place.
+    fn keep_columns(&mut self, jacobian: &mut Vec<f64>, columns: &[usize]) {
         let count = columns.len();
         let mut sizes = vec![0.0; count];
         for line in jacobian.chunks_exact(count.max(1)) {
@@ -439,10 +439,10 @@ impl Linearised {
         }
         self.unknowns.clear();
         self.unknowns.extend(columns.iter().zip(&sizes).filter(|(_, size)| **size != 0.0).map(|(column, _)| *column));
-        self.derivatives.clear();
         if self.unknowns.len() == count {
-            return self.derivatives.extend_from_slice(jacobian);
+            return std::mem::swap(&mut self.derivatives, jacobian);
         }
+        self.derivatives.clear();
         // Columns that are kept stand side by side more often than not.
         let places: Vec<usize> = (0..count).filter(|place| sizes[*place] != 0.0).collect();
         let runs: Vec<Range<usize>> =

@@ -37,7 +37,7 @@ impl Evaluations {
         rotations: bool,
     ) {
         if derivatives == Derivatives::None {
-            self.make_room(chain, derivatives);
+            self.make_room(chain, derivatives, chain.slots());
             let (poses, whole) = (self.poses, ToFirstOrder { chain, given, rotations, out: self });
             return match poses {
                 1 => whole.with_simd(Scalar),
@@ -74,7 +74,6 @@ impl Evaluations {
     /// Walks both branches as if there were no errors, and adds what these do, to first order.
     #[inline(always)]
     fn walk_nominally<S: Simd>(&mut self, simd: S, chain: &Chain, given: Given<'_>, rotations: bool) {
-        self.slots.resize(3 * self.poses * OF_SLOT * chain.slots(), 0.0);
         let [workpiece, tool] = self.ends(chain, given, || Frame::nominal_bed(simd));
         let (table, tip) = (workpiece.directions, tool.origin);
         let noted = S::as_simd_f64s(&self.slots).0;
