@@ -9,6 +9,7 @@ mod batched_settings;
 mod batches;
 mod check;
 mod circles;
+mod copied_sensors;
 mod described;
 mod doubts;
 mod evidence;

@@ -4,6 +4,7 @@ use abbe_core::ranges::AT_REST;
 use abbe_core::{Dataset, Quantity};
 
 use crate::circles::contradicted_angles;
+use crate::copied_sensors::copied_sensors;
 use crate::lengths::{stands, two_references};
 
 /// How far a sensor in °F is from the others at most, once it is converted, K: parts of a machine at rest.
@@ -17,7 +18,7 @@ const MINUTE: f64 = 60.0;
 
 /// What is doubtful in the columns of a data set, in words.
 pub(crate) fn doubts(data: &Dataset) -> Vec<String> {
-    let kinds = [likely_fahrenheit, likely_turned, contradicted_angles, two_references, stands];
+    let kinds = [likely_fahrenheit, likely_turned, copied_sensors, contradicted_angles, two_references, stands];
     kinds.into_iter().filter_map(|doubt| doubt(data)).collect()
 }
 

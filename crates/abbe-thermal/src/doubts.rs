@@ -1,7 +1,7 @@
-//! What logs of temperatures and displacements cannot be: columns that were exchanged, and displacements in another unit.
+//! What logs of temperatures and displacements cannot be: columns that were exchanged or copied, and displacements in another unit.
 
-use abbe_core::{Dataset, Quantity};
-use abbe_numerics::row_noise;
+use abbe_core::{Dataset, Error, Quantity, Result};
+use abbe_numerics::{Channel, InstrumentFault, instrument_faults, row_noise};
 
 /// A column of a log: its name, and its numbers in the unit in which it is written.
 type Column<'a> = (&'a str, Vec<f64>);
@@ -57,6 +57,30 @@ pub fn exchanged(data: &Dataset) -> Option<String> {
 fn usual(values: &[f64], but: usize) -> f64 {
     let sum: f64 = values.iter().enumerate().filter(|(place, _)| *place != but).map(|(_, value)| value).sum();
     sum / (values.len() - 1) as f64
+}
+
+/// Refuses displacements and angles of a data set of which one has the readings of another one, in ten rows one after the other or more: no
+/// two sensors read the same to the last digit while they move. `names` are their columns, without units.
+pub fn not_copied<'a>(data: &Dataset, names: impl IntoIterator<Item = &'a String>) -> Result<()> {
+    let names: Vec<&String> = names.into_iter().collect();
+    for quantity in [Quantity::Length, Quantity::Angle] {
+        let of_quantity = names.iter().enumerate().filter(|(place, name)| {
+            !names[..*place].contains(name) && data.column(name).is_some_and(|own| own.header.quantity == quantity)
+        });
+        let channels: Vec<Channel<'_>> = of_quantity
+            .filter_map(|(_, name)| Some(Channel { name: name.as_str(), readings: data.numbers(name)? }))
+            .collect();
+        let mut faults = instrument_faults(&channels, None).into_iter();
+        if let Some(fault) = faults.find(|fault| matches!(fault, InstrumentFault::Copy { .. })) {
+            let error = Error::data(fault.describe(&channels, (1.0, "")));
+            let error = error.help("measure again, or leave one of the two out");
+            return Err(match data.files.first() {
+                Some(file) => error.in_file(file),
+                None => error,
+            });
+        }
+    }
+    Ok(())
 }
 
 /// Ranges of displacements of a machine that warms up, um: of the one that moves most, and the least of any.

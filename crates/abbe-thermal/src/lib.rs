@@ -33,10 +33,10 @@ mod starts;
 mod stuck;
 
 pub use beam::{Beam, SectionDisplacement, Segment, TemperaturePlane};
-pub use doubts::{exchanged, in_another_unit, quieter};
+pub use doubts::{exchanged, in_another_unit, not_copied, quieter};
 pub use fit::{Fitted, Output, Readings, Structure, fit};
 pub use fitted::{Bootstrap, Terms};
 pub use log::{Counting, Hold, Reference, SensorLog, SensorNoise, possible_temperature, sensor_faults};
 pub use response::{History, Response};
 pub use select::{PARTS, Tried, select};
-pub use stuck::{is_dead, stuck_part};
+pub use stuck::{is_dead, stuck, stuck_part};

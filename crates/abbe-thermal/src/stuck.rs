@@ -27,6 +27,13 @@ pub fn is_dead(values: &[f64]) -> bool {
     values.len() >= LONG && values.iter().all(|value| *value == values[0])
 }
 
+/// A sensor that stands still for long while it moves in other rows ([`stuck_part`]), in words; `first` is the number of its first row.
+pub fn stuck(name: &str, values: &[f64], first: usize) -> Option<String> {
+    let (row, count) = stuck_part(values)?;
+    let (from, to) = (first + row, first + row + count - 1);
+    Some(format!("{name} reads the same from row {from} to row {to}, and moves in others: was it stuck?"))
+}
+
 /// Where readings stand still for long while they move in most rows before and after: the first row, and how many. They may stand at
 /// the beginning, while a machine rests, and where they have settled to less than a digit.
 ///

@@ -5,7 +5,9 @@ use abbe_core::{
     Problem, Quantity, Result, SettingsError, positive,
 };
 use abbe_standards::thermal_drift::{range, slope_at_end, time_to_part};
-use abbe_thermal::{Fitted, Hold, Output, Reference, SensorLog, Structure, exchanged, is_dead, quieter, stuck_part};
+use abbe_thermal::{
+    Fitted, Hold, Output, Reference, SensorLog, Structure, exchanged, is_dead, not_copied, quieter, stuck,
+};
 use nalgebra::DMatrix;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -166,7 +168,7 @@ impl WarmUp {
             let message = format!("{name} reads {} um in all rows", readings[0] * 1e3);
             return Err(data.error_at(DataRow(0), message).help("is the sensor connected, and within its range?"));
         }
-        tell_stuck(name, readings);
+        stuck(name, readings, 1).iter().for_each(|doubt| tracing::warn!("{doubt}"));
         let told = [
             ("end", Some(readings[last]), "mm"),
             ("range", range(times, readings, times[0], times[last]), "mm"),
@@ -302,17 +304,6 @@ fn tell_gap(data: &Dataset, times: &[f64]) {
     }
 }
 
-/// Tells of a sensor that reads the same for a long time and not in the rest.
-fn tell_stuck(name: &str, readings: &[f64]) {
-    if let Some((first, count)) = stuck_part(readings) {
-        let last = first + count;
-        tracing::warn!(
-            "{name} reads the same from row {} to row {last}, and moves in others: was it stuck?",
-            first + 1
-        );
-    }
-}
-
 /// The inverse of the sums of squares and products of what sensors read, and the condition with columns of norm 1.
 fn inverse_of(log: &SensorLog) -> Option<(DMatrix<f64>, f64)> {
     let (rows, columns) = (log.times().len(), log.names().len());
@@ -354,6 +345,7 @@ impl Estimate for WarmUp {
         }
         self.check_times(data, times)?;
         self.check_ranges(data, times)?;
+        not_copied(data, &self.drift)?;
         let mut found = Found::default();
         let (mut sizes, mut condition, mut unknowns) = (Sizes::default(), 1.0, 0);
         self.drift.iter().try_for_each(|name| self.figures(&mut found, data, times, name))?;
@@ -365,7 +357,7 @@ impl Estimate for WarmUp {
                     .error_at(DataRow(0), message)
                     .help("is the sensor connected? else leave it out of `temperatures`"));
             }
-            tell_stuck(name, readings);
+            stuck(name, readings, 1).iter().for_each(|doubt| tracing::warn!("{doubt}"));
         }
         for name in self.drift.iter().chain(&self.temperatures) {
             tell_jump(data, name, data.required_numbers(name)?, times);

@@ -6,7 +6,7 @@ use abbe_core::{
     DataRow, Dataset, Error, Figure, Findings, PathItem, Quantity, Result, SettingsError, not_negative, positive,
 };
 use abbe_standards::thermal_drift::{largest_range, range, slope_at_end, time_to_part};
-use abbe_thermal::{exchanged, in_another_unit, is_dead, stuck_part};
+use abbe_thermal::{exchanged, in_another_unit, is_dead, not_copied, stuck};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -135,6 +135,7 @@ impl DriftSettings {
         }
         let rows = first..last;
         let times = &times[rows.clone()];
+        not_copied(data, self.readings.iter().chain(self.angles.values().flat_map(|angle| &angle.of)))?;
         for readings in self.all(data, rows.clone())? {
             let Readings { name, values, .. } = &readings;
             if is_dead(values) {
@@ -143,12 +144,7 @@ impl DriftSettings {
                     .error_at(DataRow(first), message)
                     .help("is the sensor connected, and within its range?"));
             }
-            if let Some((from, count)) = stuck_part(values) {
-                let (from, to) = (first + from + 1, first + from + count);
-                findings.remarks.push(format!(
-                    "{run}: {name} reads the same from row {from} to row {to}, and moves in others: was it stuck?"
-                ));
-            }
+            findings.remarks.extend(stuck(name, values, first + 1).map(|doubt| format!("{run}: {doubt}")));
             findings.figures.extend(self.figures(times, &readings, run));
         }
         let doubts = exchanged(data).or_else(|| self.other_unit(data));

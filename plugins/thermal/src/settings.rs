@@ -1,7 +1,9 @@
 //! Which columns of a run drive states, which follow, and how both are counted.
 
 use abbe_core::{ColumnHeader, Dataset, Error, PathItem, Quantity, Result, SettingsError, Unit, matches, positive};
-use abbe_thermal::{Bootstrap, Counting, Hold, Readings, Reference, SensorLog, Structure, possible_temperature};
+use abbe_thermal::{
+    Bootstrap, Counting, Hold, Readings, Reference, SensorLog, Structure, not_copied, possible_temperature,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -238,6 +240,7 @@ impl Settings {
             None => error,
         };
         let chosen = self.chosen(&data.headers()).map_err(in_file)?;
+        not_copied(data, &chosen)?;
         let times = data.required_numbers(TIME)?;
         let begin = times.first().copied().unwrap_or_default();
         let end = times.last().copied().unwrap_or_default();

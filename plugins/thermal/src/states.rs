@@ -6,7 +6,7 @@ use abbe_core::{
     SelectionByPrediction, SettingsError, Status, Unit,
 };
 use abbe_thermal::{
-    Fitted, Output, PARTS, Readings, SensorLog, Structure, Tried, exchanged, fit, in_another_unit, select,
+    Fitted, Output, PARTS, Readings, SensorLog, Structure, Tried, exchanged, fit, in_another_unit, select, stuck,
 };
 use serde_json::{Value, json};
 
@@ -78,8 +78,10 @@ impl Estimate for ThermalStates {
             faults.for_each(|fault| tracing::warn!("{name}: {}: {fault}", run_name(data)));
         }
         for (run, data) in runs.iter().zip(data) {
-            let doubts = exchanged(data).or_else(|| other_unit(run, data));
-            doubts.iter().for_each(|doubt| tracing::warn!("{name}: {}: {doubt}", run_name(data)));
+            let doubts = exchanged(data).or_else(|| other_unit(run, data)).into_iter();
+            let lengths = run.outputs.iter().filter(|(_, quantity, _)| *quantity == Quantity::Length);
+            let doubts = doubts.chain(lengths.filter_map(|(output, _, readings)| stuck(output, &readings.values, 1)));
+            doubts.for_each(|doubt| tracing::warn!("{name}: {}: {doubt}", run_name(data)));
         }
         if let Some([minutes, seconds]) = of_two_units(&logs) {
             let [minutes, seconds] = [minutes, seconds].map(|run| run_name(data[run]));
