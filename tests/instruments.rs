@@ -425,6 +425,79 @@ fn a_drift_in_another_unit_and_exchanged_columns_are_told() {
     assert!(said(&warm_up, folder.path()).contains(words[1]));
 }
 
+/// A displacement that is another one is refused wherever drifts are read, one that stops is named, and a copied sensor is told.
+#[test]
+fn copied_drifts_and_sensors_are_told() {
+    let folder = temporary();
+    let copy = |recipe: &mut Variant, log: &str, [of, to]: [&str; 2], rows: std::ops::Range<usize>| {
+        let values = cells(&recipe.path(log, "path"), of);
+        with(recipe, folder.path(), (log, to), &|row, cell| match rows.contains(&row) {
+            true => values[row].clone(),
+            false => cell.to_owned(),
+        });
+    };
+    let of = |name: &str, stages: &[&str]| {
+        let mut recipe = Variant::of(&recipes()[name]).only(stages);
+        if stages.contains(&"spindle") {
+            recipe.stage("spindle")["uncertainty"] = json!("ordinary");
+        }
+        recipe
+    };
+    let refused = "transducer read twice?";
+    for (name, stages, log) in [
+        ("thermal-spindle", &["spindle"][..], "constant"),
+        ("thermal-spindle", &["spindle", "unseen"], "stepped"),
+        ("thermal-spindle", &["warm-up"], "constant"),
+        ("spindle-motion", &["warm-up"], "half-hour"),
+    ] {
+        assert!(!said(&of(name, stages), folder.path()).contains(refused), "{name} {stages:?}");
+        for (columns, rows) in [(["drift_x_um", "drift_z_um"], 0..usize::MAX), (["drift_x_um", "drift_y_um"], 60..90)] {
+            let mut copied = of(name, stages);
+            copy(&mut copied, log, columns, rows);
+            let words = said(&copied, folder.path());
+            assert!(words.contains(refused) && words.contains("`drift_x`"), "{name} {stages:?} {columns:?}: {words}");
+        }
+    }
+    let (mut sensor, word) = (of("thermal-spindle", &["spindle"]), "is one sensor read twice?");
+    assert!(!said(&sensor, folder.path()).contains(word));
+    copy(&mut sensor, "constant", ["T14_degC", "T13_degC"], 0..usize::MAX);
+    assert!(said(&sensor, folder.path()).contains(word));
+    let mut stopped = of("thermal-spindle", &["spindle"]);
+    let stays = cells(&stopped.path("constant", "path"), "drift_x_um")[300].clone();
+    with(&mut stopped, folder.path(), ("constant", "drift_x_um"), &|row, cell| {
+        if row > 300 { stays.clone() } else { cell.to_owned() }
+    });
+    let words = said(&stopped, folder.path());
+    assert!(words.contains("drift_x reads the same from row 301") && words.contains("was it stuck?"), "{words}");
+}
+
+/// Lengths in metres that only judge leave next to nothing of what is stated.
+#[test]
+fn unseen_lengths_in_another_unit_are_told() {
+    let folder = temporary();
+    let recipe = || Variant::of(&recipes()["cmm-checking-gauge"]).only(&["fit", "unseen"]);
+    let word = "is the unit of these readings right?";
+    assert!(!remarks(&recipe().run(), "unseen").contains(word));
+    let mut metres = recipe();
+    let text = read(&metres.path("other-beams", "path"));
+    let mut rows = text.lines().filter(|line| !line.starts_with('#'));
+    let header = rows.next().expect("a header");
+    let is_length: Vec<bool> = header.split(',').map(|name| name.ends_with("_mm")).collect();
+    let smaller = |row: &str| {
+        let cells = row.split(',').zip(&is_length);
+        let cells = cells.map(|(cell, is_length)| match is_length {
+            true => format!("{}", number(cell) / 1000.0),
+            false => cell.to_owned(),
+        });
+        cells.collect::<Vec<_>>().join(",")
+    };
+    let text: String = std::iter::once(header.to_owned()).chain(rows.map(smaller)).map(|row| row + "\n").collect();
+    write(&folder.path().join("metres.csv"), &text);
+    metres.stage("other-beams")["path"] = json!(folder.path().join("metres.csv"));
+    let words = remarks(&metres.run(), "unseen");
+    assert!(words.contains(word), "{words}");
+}
+
 #[test]
 fn a_run_that_the_estimate_has_seen_is_no_prediction() {
     let mut recipe = Variant::of(&recipes()["thermal-spindle"]).only(&["spindle", "unseen"]);

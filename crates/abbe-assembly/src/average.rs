@@ -52,6 +52,9 @@ impl Average {
             groups[place].push(row);
             *time += 1;
         }
+        if let Some(words) = uneven(&times) {
+            tracing::warn!("`{}` {words}", self.over);
+        }
         let mut columns = Vec::new();
         for Column { header, values } in &data.columns {
             let values = match values {
@@ -90,6 +93,25 @@ impl Average {
             stated_tips: data.stated_tips.clone(),
         })
     }
+}
+
+/// Two series that have the same labels in different numbers of rows, in words; `rows` counts those of each point in each series. A point
+/// that a series lacks altogether shifts nothing.
+fn uneven(rows: &BTreeMap<(Vec<&str>, &str), usize>) -> Option<String> {
+    let all: Vec<(&[&str], &str, usize)> =
+        rows.iter().map(|((point, series), count)| (point.as_slice(), *series, *count)).collect();
+    let least_and_most = |of_point: &[(&[&str], &str, usize)]| {
+        let (_, few, least) = *of_point.iter().min_by_key(|(_, _, count)| *count)?;
+        let (point, many, most) = *of_point.iter().rev().max_by_key(|(_, _, count)| *count)?;
+        let point = point.join(", ");
+        (least < most).then(|| {
+            format!(
+                "{few} has {least} rows of {point}, and {many} has {most}: first rows are averaged with first rows, second with second \
+                 ones and so on, and one that is missing shifts those after it"
+            )
+        })
+    };
+    all.chunk_by(|(one, ..), (other, ..)| one == other).find_map(least_and_most)
 }
 
 /// Distance from the other series, in mm, that is told.
@@ -136,6 +158,18 @@ fn same_angles(data: &Dataset, header: &str, angles: &[f64], groups: &[Vec<DataR
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_series_that_lacks_a_repetition_is_found() {
+        let rows = |counts: [usize; 3]| {
+            let points = ["1", "2"].into_iter().flat_map(|point| ["a", "b", "c"].map(|series| (vec![point], series)));
+            points.zip(counts.into_iter().chain([1, 1, 1])).filter(|(_, count)| *count > 0).collect()
+        };
+        assert_eq!(uneven(&rows([4, 4, 4])), None);
+        assert_eq!(uneven(&rows([4, 0, 4])), None);
+        let words = uneven(&rows([4, 3, 4])).unwrap();
+        assert!(words.starts_with("b has 3 rows of 1, and a has 4: "), "{words}");
+    }
 
     #[test]
     fn series_that_do_not_belong_are_found() {

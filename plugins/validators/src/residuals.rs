@@ -93,6 +93,8 @@ impl Validate for Residuals {
 #[derive(Debug, Default)]
 struct Seen {
     all: ResidualSizes,
+    /// Sum of the squares of residuals over their standard uncertainties, and their number.
+    weighted: (f64, usize),
     outliers: usize,
     /// In the order of the columns.
     by_label: Vec<SizesByLabel>,
@@ -102,6 +104,7 @@ impl Seen {
     /// Adds those of later rows.
     fn join(&mut self, later: Self) {
         self.all.join(&later.all);
+        self.weighted = (self.weighted.0 + later.weighted.0, self.weighted.1 + later.weighted.1);
         self.outliers += later.outliers;
         self.by_label.iter_mut().zip(&later.by_label).for_each(|(all, own)| all.join(own));
     }
@@ -158,11 +161,13 @@ fn seen(problem: &Problem, fit: &Fit, left_out: &BTreeSet<(SetIndex, RowIndex)>,
     let residuals = problem.residuals(&problem.values_of(&fit.calibration))?;
     let by_label = vec![SizesByLabel::default(); columns.len()];
     let mut seen = Seen { outliers: left_out.len(), by_label, ..Seen::default() };
-    for ((row, quantity), residual) in problem.equation_rows().into_iter().zip(problem.quantities()).zip(residuals) {
+    let rows = problem.equation_rows().into_iter().zip(problem.quantities()).zip(problem.standard_uncertainties());
+    for (((row, quantity), uncertainty), residual) in rows.zip(residuals) {
         if left_out.contains(&row) {
             continue;
         }
         seen.all.push(quantity, residual);
+        seen.weighted = (seen.weighted.0 + (residual / uncertainty).powi(2), seen.weighted.1 + 1);
         let (set, row) = row;
         let layout = &problem.sets[set].info().layout;
         for (column, by_label) in columns.iter().zip(&mut seen.by_label) {
@@ -196,6 +201,31 @@ fn tell(fit: &Fit, columns: &[String], seen: &Seen, findings: &mut Findings) {
     if !worst.is_empty() {
         findings.remarks.push(format!("{}: largest rms: {}", fit.name, worst.join(", ")));
     }
+    findings.remarks.extend(too_good(fit, seen));
+}
+
+/// Part of what was stated below which residuals of so many rows that an estimate has not seen are not believed, and that of the estimate
+/// above which its own are about as stated. Below the third residuals are those of exact data.
+const TOO_GOOD: f64 = 0.25;
+const MANY: usize = 100;
+const AS_STATED: f64 = 0.5;
+const EXACT: f64 = 1e-6;
+
+/// Rows that an estimate predicts far better than what is stated of a reading, and far better than its own: they are in another unit.
+fn too_good(fit: &Fit, seen: &Seen) -> Option<String> {
+    let report = &fit.calibration.fit;
+    // An estimate of nothing has its own rows, and factors that were found are in the scatter of the estimate.
+    let is_prediction = fit.problem.unknowns.is_empty() && report.unknowns > 0 && report.variance.is_empty();
+    let (squares, count) = seen.weighted;
+    let size = (squares / count.max(1) as f64).sqrt();
+    let is_told = is_prediction && count >= MANY && report.sigma > AS_STATED && (EXACT..TOO_GOOD).contains(&size);
+    is_told.then(|| {
+        format!(
+            "{}: residuals of these rows are {size:.2e} of what is stated, and those of the estimate {:.2} times: is the unit of these \
+             readings right?",
+            fit.name, report.sigma
+        )
+    })
 }
 
 /// Probability below which something is not chance.
