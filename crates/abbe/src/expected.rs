@@ -358,7 +358,20 @@ fn no_minus_zero(text: String) -> String {
     }
 }
 
-/// A digest of a text without its numbers (FNV-1a, Fowler, Noll & Vo 1991), and the numbers with a point or an exponent.
+/// Where the groups of an identifier in the form of a UUID end, in bytes from its beginning.
+const GROUPS: [usize; 5] = [8, 13, 18, 23, 36];
+
+/// Whether a text begins with a UUID.
+fn begins_with_uuid(bytes: &[u8]) -> bool {
+    let is_right = |(place, byte): (usize, &u8)| match GROUPS.contains(&place) {
+        true => *byte == b'-',
+        false => byte.is_ascii_hexdigit(),
+    };
+    bytes.get(..GROUPS[4]).is_some_and(|bytes| bytes.iter().enumerate().all(is_right))
+}
+
+/// A digest of a text without its numbers (FNV-1a, Fowler, Noll & Vo 1991), and the numbers with a point or an exponent. UUIDs are left out:
+/// they follow from the last digits.
 fn taken_apart(text: &str) -> (u64, Vec<f64>) {
     let (mut digest, mut numbers) = (0xcbf2_9ce4_8422_2325_u64, Vec::new());
     let mut mix = |byte: u8| digest = (digest ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
@@ -366,6 +379,10 @@ fn taken_apart(text: &str) -> (u64, Vec<f64>) {
     let mut at = 0;
     while at < bytes.len() {
         let from = at;
+        if begins_with_uuid(&bytes[at..]) {
+            at += GROUPS[4];
+            continue;
+        }
         while at < bytes.len() && (bytes[at].is_ascii_digit() || bytes[at] == b'.') {
             at += 1;
         }
@@ -479,6 +496,10 @@ mod tests {
         assert_ne!(taken_apart("N11 G1 X1.51 Y2.1e-3\n").0, shape);
         assert_ne!(taken_apart("N10 G1 Z1.51 Y2.1e-3\n").0, shape);
         assert!(taken_apart("... . -\u{e9}").1.is_empty());
+        let [one, other] = ["1a2b3c4d-7060-8e22-9abc-0123456789ab", "0a2b3c4d-1e25-8f22-9abc-0123456789ab"]
+            .map(|id| taken_apart(&format!("<QPId>{id}</QPId> 1.5")));
+        assert_eq!(one, other);
+        assert_eq!(one.1, [1.5]);
     }
 
     #[test]

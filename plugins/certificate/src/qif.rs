@@ -319,14 +319,15 @@ impl<'a> Document<'a> {
             .with("idMax", &(id() - 1).to_string())
     }
 
-    /// An identifier in the form of a UUID (version 8) that follows from what was measured: the same points give the same file.
+    /// An identifier in the form of a UUID (version 8) that follows from what was measured, as it is written: the same points give the
+    /// same file.
     fn identifier(&self) -> String {
         let mut hash = Sha256::new();
         for (label, at) in &self.points {
-            hash.update(format!("{label} {at:?}\n"));
+            hash.update(format!("{label} {}\n", location(at)));
         }
         for (point, tip) in self.runs.iter().flatten() {
-            hash.update(format!("{point} {:?}\n", tip.corrected));
+            hash.update(format!("{point} {}\n", location(&tip.corrected)));
         }
         let mut bytes: Vec<u8> = hash.finalize().iter().copied().take(16).collect();
         bytes[6] = 0x80 | (bytes[6] & 0x0f);
