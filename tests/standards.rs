@@ -346,6 +346,10 @@ fn what_is_no_test_is_told_or_decides_nothing() {
     let short = told("rotary-interpolation", "read-c", &|rows, _| rows.truncate(3));
     let of_c: Vec<&Figure> = figures(&short, "c-axis").iter().filter(|figure| figure.limit.is_some()).collect();
     assert!(!of_c.is_empty() && of_c.iter().all(|figure| figure.inconclusive.is_some()), "{of_c:?}");
+    // One row back is no second way.
+    let one_back = told("rotary-interpolation", "read-a", &|rows, _| rows.truncate(13));
+    let of_a: Vec<&Figure> = figures(&one_back, "a-axis").iter().filter(|figure| figure.limit.is_some()).collect();
+    assert!(!of_a.is_empty() && of_a.iter().all(|figure| figure.inconclusive.is_some()), "{of_a:?}");
     // Nor do two targets, ten lengths of 35 and four points of a sphere, which have no form error.
     let two_targets = |rows: &mut Cells, position: usize| {
         let smallest = |row: &Vec<String>| row[position].parse::<f64>().expect("a number") < 40.0;

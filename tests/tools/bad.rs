@@ -204,6 +204,15 @@ fn bad_logs_and_tables_get_one_clear_error() {
 }
 
 #[test]
+fn a_tool_that_is_listed_twice_is_refused() {
+    let folder = temporary();
+    let recipe = Variant::of(&recipes()["before-the-cut"]).set("tools-of-the-cut", "tools", serde_json::json!([1, 1]));
+    let file = recipe.write(folder.path());
+    let printed = abbe(folder.path(), &["run".as_ref(), file.as_os_str(), "--out".as_ref(), "out".as_ref()]);
+    assert!(printed.status == 2 && printed.stderr.contains("the tool 1 is listed twice"), "{}", printed.stderr);
+}
+
+#[test]
 fn another_estimate_has_no_tools() {
     let folder = temporary();
     let mut recipe = Variant::of(&recipes()["before-the-cut"]);

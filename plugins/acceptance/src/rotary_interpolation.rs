@@ -228,20 +228,23 @@ impl Rotary {
         })
     }
 
-    /// What keeps the test from deciding: few angles, a small part of a turn, or one way alone.
+    /// What keeps the test from deciding: one way with few angles, or over a small part of a turn.
     fn lacking(&self, angles: &[f64], ways: &[bool]) -> Option<String> {
-        let mut places: Vec<f64> = angles.to_vec();
-        places.sort_by(f64::total_cmp);
-        places.dedup_by(|next, place| (*next - *place).abs() < SAME_ANGLE);
-        let turned = places.last().zip(places.first()).map_or(0.0, |(last, first)| last - first);
-        let is_both_ways = ways.iter().any(|way| *way) && !ways.iter().all(|way| *way);
-        (places.len() < FEWEST_ANGLES || turned < LEAST_TURN || !is_both_ways).then(|| {
+        let measured = [true, false].map(|way| {
+            let own = angles.iter().zip(ways).filter(|(_, own)| **own == way);
+            let mut places: Vec<f64> = own.map(|(angle, _)| *angle).collect();
+            places.sort_by(f64::total_cmp);
+            places.dedup_by(|next, place| (*next - *place).abs() < SAME_ANGLE);
+            (places.len(), places.last().zip(places.first()).map_or(0.0, |(last, first)| last - first))
+        });
+        let is_enough = |(count, turned): (usize, f64)| count >= FEWEST_ANGLES && turned >= LEAST_TURN;
+        (!measured.into_iter().all(is_enough)).then(|| {
+            let [positive, negative] =
+                measured.map(|(count, turned)| format!("{count} angles over {:.1} deg", turned.to_degrees()));
             format!(
-                "{} was at {} angles over {:.1} deg{}: {FEWEST_ANGLES} angles over {:.0} deg, both ways, are needed to decide",
+                "{} was at {positive} in the positive direction, and at {negative} in the negative one: {FEWEST_ANGLES} angles over {:.0} \
+                 deg, both ways, are needed to decide",
                 self.axis,
-                places.len(),
-                turned.to_degrees(),
-                if is_both_ways { "" } else { ", one way" },
                 LEAST_TURN.to_degrees()
             )
         })

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use abbe_core::{Context, Dataset, Figure, Findings, Fit, Label, Limit, Result, SettingsError, Validate};
+use abbe_core::{Context, Dataset, Figure, Findings, Fit, Label, Limit, PathItem, Result, SettingsError, Validate};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -70,6 +70,11 @@ fn build(settings: Settings, _: &Context) -> Result<Box<dyn Validate>, SettingsE
     if settings.tools.as_ref().is_some_and(Vec::is_empty) {
         return Err(SettingsError::new("tools", "no tool would be judged; at least one was expected")
             .help("leave `tools` out to judge all that the last session measured"));
+    }
+    let listed = settings.tools.as_deref().unwrap_or_default();
+    if let Some((place, twice)) = listed.iter().enumerate().find(|(place, tool)| listed[..*place].contains(tool)) {
+        let at = [PathItem::Key("tools".to_owned()), PathItem::Index(place)];
+        return Err(SettingsError::new("", format!("the tool {} is listed twice", twice.0)).under(at));
     }
     Ok(Box::new(Tools { settings }))
 }
