@@ -34,6 +34,26 @@ fn plans_and_merges_replace_no_file_by_another_name() {
     assert_eq!(read(&at.join("fleet.results/jobs.csv")), read(&at.join("elsewhere/jobs.csv")));
 }
 
+/// A history that has the place of what a merge writes would be lost with it.
+#[test]
+fn a_history_in_the_place_of_a_table_is_refused() {
+    let folder = temporary();
+    let at = folder.path();
+    Plant::of(2).write(at);
+    let fleet = read(&at.join("fleet.yaml"));
+    for (history, status) in [("merged/written.jsonl", 2), ("./merged/jobs.csv", 2), ("merged/plant.sqlite", 0)] {
+        write(&at.join("fleet.yaml"), &fleet.replace("history: plant.sqlite", &format!("history: {history}")));
+        let _ = fs::remove_file(at.join("fleet.manifest.jsonl"));
+        ok(&quiet(at, &["fleet", "plan", "fleet.yaml"]));
+        ok(&quiet(at, &["fleet", "run", "fleet.manifest.jsonl"]));
+        fs::create_dir_all(at.join("merged")).expect("a folder");
+        let printed = quiet(at, &["fleet", "merge", "fleet.manifest.jsonl", "--out", "merged"]);
+        assert_eq!(printed.status, status, "{history}: {}{}", printed.stdout, printed.stderr);
+        assert_eq!(at.join(history).exists(), status == 0, "{history}");
+        assert!(status == 0 || printed.stderr.contains("has a name as they have"), "{history}: {}", printed.stderr);
+    }
+}
+
 /// A plan takes the place of an earlier one of the same fleet, as it was planned, and of nothing else.
 #[test]
 fn a_plan_replaces_its_own_manifest_alone() {

@@ -218,6 +218,11 @@ fn a_check_needs_to_know_what_was_repeated() {
     }
     let check = small.abbe(&["history", "check", "plant.sqlite"]);
     assert!(check.status == 2 && check.stderr.contains("--estimate"), "{}", check.stderr);
+    let check = small.abbe(&["history", "check", "plant.sqlite", "--machine", "nobody"]);
+    assert!(check.status == 2 && check.stderr.contains("plant.sqlite has no machine `nobody`"), "{}", check.stderr);
+    assert!(check.stderr.contains("its machines are: "), "{}", check.stderr);
+    let shown = small.abbe(&["history", "show", "plant.sqlite", "99"]);
+    assert!(shown.stderr.contains("plant.sqlite has no entry 99"), "{}", shown.stderr);
     let check = small.abbe(&["history", "check", "plant.sqlite", "--estimate", "fine", "--limit", "EX0C=3furlong"]);
     assert!(check.status == 2 && check.stderr.contains("no unit"), "{}", check.stderr);
     let added = small.abbe(&["history", "add", "absent/plant.sqlite", &all[0]]);

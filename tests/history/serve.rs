@@ -142,6 +142,23 @@ fn only_this_computer_is_listened_to() {
     assert_eq!(small.abbe(&["serve", "absent.sqlite"]).status, 2);
 }
 
+/// Nobody would know at which port.
+#[cfg(target_os = "linux")]
+#[test]
+fn an_address_that_cannot_be_told_is_an_error() {
+    let (small, served) = small();
+    drop(served);
+    let full = std::fs::OpenOptions::new().write(true).open("/dev/full").expect("a full disk");
+    let mut command = program(small.folder.path(), &["serve", "plant.sqlite", "--listen", "127.0.0.1:0"]);
+    let process = command.stdin(Stdio::null()).stdout(full).stderr(Stdio::null()).spawn().expect("it starts");
+    let mut ended = Served { process, address: String::new() };
+    let begun = Instant::now();
+    while ended.process.try_wait().expect("a process").is_none() && begun.elapsed() < LONGEST {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(ended.process.try_wait().expect("a process").and_then(|status| status.code()), Some(1));
+}
+
 #[test]
 fn nothing_can_be_written_and_no_file_can_be_named() {
     let (small, served) = small();

@@ -249,7 +249,8 @@ impl<'a> Compensator<'a> {
             if self.settings.travel != Travel::Allow
                 && let Some(beyond) = self.beyond_travel(status, &corrected)
             {
-                let help = "`travel: hold` keeps it at its end and tells what remains";
+                let help =
+                    "`travel: hold` (`--travel hold` of `abbe compensate`) keeps it at its end and tells what remains";
                 return fails(Error::data(format!("corrected, {beyond}")).help(help).setting("travel"));
             }
         }

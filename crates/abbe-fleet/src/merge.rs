@@ -12,6 +12,7 @@ use std::time::Duration;
 use abbe_core::{Calibration, Decision, Error, Monitor, Result, Verdict};
 use abbe_engine::{MadeFolders, refuse_temporary_place};
 use abbe_history::{Entry, Stored};
+use abbe_recipe::HistoryPlace;
 use serde_json::{Value, json};
 
 use crate::manifest::{Job, Kept, Manifest, VERSION};
@@ -64,6 +65,7 @@ pub fn merge(
         none_open(manifest)?;
     }
     refuse_temporary_place(out)?;
+    refuse_history_within(out, manifest.head.history.as_deref())?;
     let _alone = alone(manifest, monitor)?;
     let (mut last, mut shards, mut families) = (None, Vec::new(), Vec::new());
     let mut folder = MadeFolders::new(out).map_err(|error| unwritable(out, &error).help("name a folder: `--out`"))?;
@@ -103,6 +105,21 @@ pub fn merge(
     merged.earlier = own.finish();
     folder.keep();
     Ok(merged)
+}
+
+/// What the names of the files that a merge writes end with.
+const ENDINGS: [&str; 3] = ["csv", "json", "jsonl"];
+
+/// Refuses a history in the folder of the tables with a name that one of them may have: it would take its place, or it that of the table.
+fn refuse_history_within(out: &Path, history: Option<&str>) -> Result<()> {
+    let Some(Ok(HistoryPlace::File(history))) = history.map(HistoryPlace::parse) else { return Ok(()) };
+    let may_be_ours =
+        ENDINGS.iter().any(|ending| history.extension().is_some_and(|own| own.eq_ignore_ascii_case(ending)));
+    if !may_be_ours || !abbe_files::place(&history).starts_with(abbe_files::place(out)) {
+        return Ok(());
+    }
+    let error = Error::usage("the history is in the folder of the tables, and has a name as they have");
+    Err(error.in_file(&history).help("name another place under `history` of the fleet, such as `plant.sqlite`"))
 }
 
 /// How often, and how long after each other, a merge asks whether another one of its manifest has ended.

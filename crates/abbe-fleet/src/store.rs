@@ -156,6 +156,7 @@ impl Store {
     }
 
     fn write(&self, path: &Path, parts: &[&[u8]]) -> Result<()> {
+        is_free(path)?;
         let tried = self.try_to_write(path, parts);
         // A folder that is not there yet, or a new file that looked abandoned because it had no lock yet.
         let again = tried.or_else(|error| match error.kind() {
@@ -189,9 +190,57 @@ impl Store {
     }
 }
 
+/// Fails where something of somebody else stands in the place of a result: what is no file, and a file that begins otherwise. What a power
+/// cut leaves of a result is empty, zeros, or begins as one.
+fn is_free(path: &Path) -> Result<()> {
+    let Ok(found) = fs::symlink_metadata(path) else { return Ok(()) };
+    let begins_as_ours = || {
+        let mut head = [0; OURS.len()];
+        let mut file = File::open(path).ok()?;
+        let read = (0..head.len()).take_while(|byte| file.read_exact(&mut head[*byte..=*byte]).is_ok()).count();
+        Some(head[..read].iter().all(|byte| *byte == 0) || OURS.starts_with(&head[..read]))
+    };
+    if found.is_file() && begins_as_ours().unwrap_or(true) {
+        return Ok(());
+    }
+    let error = Error::data("this is no result of a job, and one of this name has to be written");
+    Err(error.in_file(path).help("move it away"))
+}
+
+/// How the files of a store begin.
+const OURS: &[u8; 13] = b"{\"abbe_fleet_";
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_others_keep_in_the_place_of_a_result_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::new(&folder.path().join("results"));
+        let job = sha256(b"a job");
+        store.put(&job, b"12").unwrap();
+        let (file, whole) = (store.result_file(&job), fs::read(store.result_file(&job)).unwrap());
+        for ours in [&whole[..5], b"", &[0; 40], &whole[..40]] {
+            fs::write(&file, ours).unwrap();
+            store.put(&job, b"12").unwrap();
+            assert_eq!(store.get(&job).as_deref(), Some(&b"12"[..]));
+        }
+        fs::write(&file, "notes").unwrap();
+        let told = store.put(&job, b"12").unwrap_err();
+        assert!(told.message.contains("no result") && told.help.as_deref() == Some("move it away"), "{told:?}");
+        assert_eq!(fs::read(&file).unwrap(), b"notes");
+        fs::remove_file(&file).unwrap();
+        fs::create_dir(&file).unwrap();
+        store.put(&job, b"12").unwrap_err();
+        #[cfg(unix)]
+        {
+            fs::remove_dir(&file).unwrap();
+            std::os::unix::fs::symlink(folder.path().join("nothing"), &file).unwrap();
+            store.put(&job, b"12").unwrap_err();
+            assert!(fs::symlink_metadata(&file).unwrap().is_symlink());
+        }
+    }
 
     #[test]
     fn a_result_is_there_whole_or_not_at_all() {

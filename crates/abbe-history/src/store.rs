@@ -114,7 +114,7 @@ impl History {
     }
 
     fn damaged(&self, what: &str) -> Error {
-        Error::data(format!("the history {} is damaged: {what}", self.name()))
+        Error::data(format!("the history {} is damaged: {what}", self.name())).help("take the last copy that is whole")
     }
 
     /// The numbers of all entries, with hash and recipe, the oldest first.

@@ -212,7 +212,8 @@ fn date_of(day: f64) -> String {
 fn found(place: &Path, entry: i64) -> Result<Entry> {
     let history = read(place)?;
     let last = history.entries()?.last().map_or(0, |(number, _, _)| *number);
-    history.entry(entry)?.ok_or_else(|| Error::usage(format!("there is no entry {entry}; the last is {last}")))
+    let missing = || Error::usage(format!("the history {} has no entry {entry}; the last is {last}", history.name()));
+    history.entry(entry)?.ok_or_else(|| missing().help("`abbe history list` shows its entries"))
 }
 
 fn list(history: &History) -> Result<String> {

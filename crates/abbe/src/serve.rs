@@ -96,7 +96,9 @@ async fn listen(address: SocketAddr, pages: Arc<Pages>) -> Result<()> {
     let listener = TcpListener::bind(address).await.map_err(cannot)?;
     let address = listener.local_addr().map_err(cannot)?;
     let mut out = std::io::stdout();
-    let _ = writeln!(out, "http://{address}/ shows the history; Ctrl-C ends it").and_then(|()| out.flush());
+    writeln!(out, "http://{address}/ shows the history; Ctrl-C ends it")
+        .and_then(|()| out.flush())
+        .map_err(|error| Error::data(format!("the output cannot be written: {}", abbe_files::why(&error))))?;
     let (connections, making) = (Arc::new(Semaphore::new(CONNECTIONS)), Arc::new(Semaphore::new(PAGES)));
     loop {
         // Without a free place, or a free handle of a file, a client is turned away or waits; the server goes on.

@@ -192,16 +192,20 @@ impl Question {
     }
 
     fn machine(&self, history: &History) -> Result<String> {
-        if let Some(machine) = &self.machine {
-            return Ok(machine.clone());
-        }
         let machines = history.machines()?;
-        match machines.as_slice() {
-            [(only, _)] => Ok(only.clone()),
-            _ => {
-                let names: Vec<&str> = machines.iter().map(|(name, _)| name.as_str()).collect();
-                Err(Error::usage(format!("the history has {} machines: {}", names.len(), names.join(", ")))
-                    .help("name one by `--machine`"))
+        let names: Vec<&str> = machines.iter().map(|(name, _)| name.as_str()).collect();
+        match (&self.machine, names.as_slice()) {
+            (Some(machine), names) if names.contains(&machine.as_str()) => Ok(machine.clone()),
+            (Some(machine), names) => {
+                let error = Error::usage(format!("the history {} has no machine `{machine}`", history.name()));
+                let listed = error.help(format!("its machines are: {}", names.join(", ")));
+                Err(listed.suggest(machine, names.iter().copied()))
+            }
+            (None, [only]) => Ok((*only).to_owned()),
+            (None, names) => {
+                let message =
+                    format!("the history {} has {} machines: {}", history.name(), names.len(), names.join(", "));
+                Err(Error::usage(message).help("name one by `--machine`"))
             }
         }
     }
