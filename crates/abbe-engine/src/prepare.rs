@@ -26,6 +26,8 @@ use crate::staging::refuse_temporary;
 pub struct Prepared {
     /// The recipe.
     pub recipe: Recipe,
+    /// The places of its stages by their names.
+    pub(crate) places: BTreeMap<String, usize>,
     pub(crate) ingests: BTreeMap<String, Box<dyn Ingest>>,
     pub(crate) artefacts: BTreeMap<String, Box<dyn Artefact>>,
     pub(crate) rows: BTreeMap<String, ArtefactRowSettings>,
@@ -92,6 +94,7 @@ pub(crate) fn built(recipe: Recipe, registry: &Registry, given: &Given) -> Resul
         given_recipe: given.recipe_record(&recipe.path),
         tables: BTreeMap::new(),
         plugins: Vec::new(),
+        places: recipe.stages.iter().enumerate().map(|(place, stage)| (stage.name.clone(), place)).collect(),
         recipe,
     };
     prepared.files.extend(prepared.recipe.libraries.iter().map(|library| library.path.clone()));
@@ -114,7 +117,11 @@ pub(crate) fn built(recipe: Recipe, registry: &Registry, given: &Given) -> Resul
                 Ok(found) => found.len(),
                 Err(error) if error.kind() == io::ErrorKind::NotFound => {
                     let help = "relative paths start at the folder of the recipe";
-                    return Err(refused(format!("{} does not exist", path.display()), help));
+                    let message = match path.as_os_str().is_empty() {
+                        true => "the name of a file was expected, and this is an empty text".to_owned(),
+                        false => format!("{} does not exist", path.display()),
+                    };
+                    return Err(refused(message, help));
                 }
                 Err(error) => {
                     let help = "name files that can be read; a pattern takes whatever matches it";
@@ -371,11 +378,8 @@ impl Prepared {
     }
 
     pub(crate) fn recipe_stage(&self, name: &str) -> Result<&Stage> {
-        let stages = &self.recipe.stages;
-        stages
-            .iter()
-            .find(|stage| stage.name == name)
-            .ok_or_else(|| Error::usage(format!("there is no stage `{name}`")))
+        let stage = self.places.get(name).and_then(|place| self.recipe.stages.get(*place));
+        stage.ok_or_else(|| Error::usage(format!("there is no stage `{name}`")))
     }
 
     /// The ingest stage that an artefact takes its rows from, and the artefact.
@@ -426,13 +430,12 @@ impl Prepared {
 
     /// The stage that the model of an estimate comes from.
     pub(crate) fn machine_stage(&self, estimate: &Stage) -> Result<&Stage> {
-        let stage = self.recipe_stage(&estimate.name)?;
-        let next = match (stage.kind, stage.estimate_source) {
-            (Kind::Model, _) | (_, EstimateSource::Calibration) => return Ok(stage),
-            _ => stage.reference("machine").first().or(stage.reference("of").first()),
-        };
-        let none = || Error::usage(format!("`{}` has no machine", stage.name));
-        self.machine_stage(self.recipe_stage(next.ok_or_else(none)?)?)
+        let mut stage = self.recipe_stage(&estimate.name)?;
+        while stage.kind != Kind::Model && stage.estimate_source != EstimateSource::Calibration {
+            let next = stage.reference("machine").first().or(stage.reference("of").first());
+            stage = self.recipe_stage(next.ok_or_else(|| Error::usage(format!("`{}` has no machine", stage.name)))?)?;
+        }
+        Ok(stage)
     }
 
     /// Stages of one kind, in the order in which they can run.

@@ -101,10 +101,15 @@ impl Prepared {
     }
 
     /// The estimate that the machine of an estimate is built for.
-    pub(crate) fn built_for<'a>(&'a self, stage: &'a Stage) -> Result<&'a Stage> {
-        let named = stage.reference("machine").first().or(stage.reference("of").first());
-        let other = named.map(|name| self.recipe_stage(name)).transpose()?;
-        other.filter(|other| other.kind == Kind::Estimate).map_or(Ok(stage), |other| self.built_for(other))
+    pub(crate) fn built_for<'a>(&'a self, mut stage: &'a Stage) -> Result<&'a Stage> {
+        while let Some(name) = stage.reference("machine").first().or(stage.reference("of").first()) {
+            let other = self.recipe_stage(name)?;
+            if other.kind != Kind::Estimate {
+                break;
+            }
+            stage = other;
+        }
+        Ok(stage)
     }
 
     /// The machine that is built for an estimate, with other logs.
