@@ -27,7 +27,7 @@ pub struct Prepared {
     /// The recipe.
     pub recipe: Recipe,
     /// The places of its stages by their names.
-    pub(crate) places: BTreeMap<String, usize>,
+    places: BTreeMap<String, usize>,
     pub(crate) ingests: BTreeMap<String, Box<dyn Ingest>>,
     pub(crate) artefacts: BTreeMap<String, Box<dyn Artefact>>,
     pub(crate) rows: BTreeMap<String, ArtefactRowSettings>,
