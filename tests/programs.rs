@@ -927,6 +927,20 @@ fn what_the_control_decides_is_not_guessed() {
     };
     refused(&machine, &planes("D1"), &siemens, 5, "acts along Y");
     corrected(&machine, &planes("D0"), &siemens, 1.0).unwrap_or_else(|error| panic!("{error}"));
+    // What moves beside a dwell would not be seen; on these controls X alone says how long it is.
+    let beside = |words: &str| format!("G21 G90 G17 G94 G54\nG0 X0. Y0. Z100.\n{words}\nG1 X5. F100.\nM30\n");
+    for dialect in [Dialect::Linuxcnc, Dialect::Grbl, Dialect::Iso, Dialect::Fanuc] {
+        let options = Options::new(dialect);
+        refused(&machine, &beside("G1 X20. F500. G4 P1"), &options, 3, "beside a dwell");
+        refused(&machine, &beside("G4 P1 Z50."), &options, 3, "beside a dwell");
+        corrected(&machine, &beside("G4 P1"), &options, 1.0).unwrap_or_else(|error| panic!("{error}"));
+        match dialect {
+            Dialect::Iso | Dialect::Fanuc => {
+                corrected(&machine, &beside("G4 X2."), &options, 1.0).unwrap_or_else(|error| panic!("{error}"));
+            }
+            _ => refused(&machine, &beside("G4 X2."), &options, 3, "beside a dwell"),
+        }
+    }
     // Fanuc: an H alone, and what takes the length back on some controls.
     let after = |words: &str| {
         format!(

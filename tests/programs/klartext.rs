@@ -195,6 +195,12 @@ fn constructs_that_are_not_followed_are_refused() {
         ("CALL LBL 1 REP2", "`CALL LBL`"),
         ("CYCL CALL", "`CYCL CALL`"),
         ("CYCL DEF 200 DRILLING ~", "`CYCL DEF`"),
+        // What goes on in the next line would not be read.
+        ("L X+10 ~\n  Y+10 F500", "`~`"),
+        ("L X+10 ; to the end ~", "`~`"),
+        ("CC X+1 ~\nY+2", "`~`"),
+        ("M3 ~\nM8", "`~`"),
+        ("TOOL CALL 5 Z ~\nDL+1", "`~`"),
         ("CYCL DEF 10.0 ROTATION", "`CYCL DEF 10`"),
         ("CYCL DEF 8.0 MIRROR IMAGE", "`CYCL DEF 8`"),
         ("CYCL DEF 19.0 WORKING PLANE", "`CYCL DEF 19`"),

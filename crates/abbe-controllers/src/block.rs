@@ -168,7 +168,17 @@ impl<'a> Reader<'a> {
         let motion = said.motion_word.and(self.modal.motion);
         let names_axis = line.words.iter().any(|word| place(word.letter).is_some());
         match said.special {
-            Special::Dwell => return Ok(Action::Copy(motion)),
+            Special::Dwell => {
+                // Where X is how long it dwells, nothing else moves.
+                let is_time = |word: &Word| {
+                    self.options.dialect.has_program_numbers() && motion.is_none() && b"XU".contains(&word.letter)
+                };
+                let moved = line.words.iter().find(|word| place(word.letter).is_some() && !is_time(word));
+                return match moved {
+                    Some(word) => Err(refused(word, "a position beside a dwell", APART)),
+                    None => Ok(Action::Copy(motion)),
+                };
+            }
             Special::Names => {
                 let named = line.words.iter().find(|word| place(word.letter).is_some());
                 return match named.filter(|_| motion.is_some()) {

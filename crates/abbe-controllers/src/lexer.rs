@@ -59,12 +59,13 @@ struct Cursor<'a> {
 /// Fails at what is no word of the dialect.
 pub fn line(text: &[u8], dialect: Dialect) -> Result<Line, Refusal> {
     let mut found = Line::default();
-    let trimmed = text.trim_ascii_start();
-    if trimmed.first() == Some(&b'%') {
-        found.is_frame = true;
-        return Ok(found);
-    }
     let mut cursor = Cursor { text, at: 0, dialect };
+    cursor.skip_blanks();
+    if cursor.peek() == Some(b'%') {
+        cursor.program_mark();
+        found.is_frame = true;
+        return cursor.alone("%").map(|()| found);
+    }
     let mut is_first = true;
     loop {
         cursor.skip_blanks();
@@ -92,6 +93,7 @@ pub fn line(text: &[u8], dialect: Dialect) -> Result<Line, Refusal> {
         }
         is_first = false;
         if found.is_frame {
+            cursor.alone("the number of a program")?;
             break;
         }
     }
@@ -127,6 +129,37 @@ impl Cursor<'_> {
         self.refused(self.at, what, help)
     }
 
+    /// Passes `%` with the name or the number of a program: `%1234`, `%O1234`, `%_N_PART_MPF` (SINUMERIK).
+    fn program_mark(&mut self) {
+        self.at += 1;
+        if !self.dialect.is_siemens() && matches!(self.peek(), Some(b'O' | b':')) {
+            self.at += 1;
+        }
+        let is_of_name = |byte: &u8| match self.dialect.is_siemens() {
+            true => byte.is_ascii_alphanumeric() || *byte == b'_',
+            false => byte.is_ascii_digit(),
+        };
+        self.at += self.text[self.at..].iter().take_while(|byte| is_of_name(byte)).count();
+    }
+
+    /// Fails where anything but a comment stands behind what frames a program: nothing there is read.
+    fn alone(&mut self, what: &str) -> Result<(), Refusal> {
+        loop {
+            self.skip_blanks();
+            match self.text.get(self.at) {
+                None => return Ok(()),
+                Some(b';') if self.dialect.has_semicolon_comments() => return Ok(()),
+                Some(b'(') if self.dialect.has_bracket_comments() => {
+                    self.comment()?;
+                }
+                Some(_) => {
+                    let what = format!("a word in the line of {what}");
+                    return Err(self.refused(self.at, &what, "write it in a line of its own"));
+                }
+            }
+        }
+    }
+
     fn comment(&mut self) -> Result<Range<usize>, Refusal> {
         let from = self.at;
         match self.text[from..].iter().position(|byte| *byte == b')') {
@@ -150,6 +183,11 @@ impl Cursor<'_> {
         if letter == b'O' && is_first {
             return match self.dialect.has_program_numbers() {
                 true => {
+                    let digits = self.text[self.at..].iter().take_while(|byte| byte.is_ascii_digit()).count();
+                    if digits == 0 {
+                        return Err(self.refused(from, "the number of a program was expected", "write its digits"));
+                    }
+                    self.at += digits;
                     *is_frame = true;
                     Ok(None)
                 }
@@ -309,6 +347,36 @@ mod tests {
         assert_eq!(linuxcnc("G1 X 1 0 Y 2"), [('G', 1.0), ('X', 10.0), ('Y', 2.0)]);
         assert_eq!(linuxcnc("g21g90g1x1y2z3f100").len(), 7);
         assert_eq!(letters("N10 /G01 X50.", Dialect::Fanuc), [('G', 1.0), ('X', 50.0)]);
+    }
+
+    #[test]
+    fn what_frames_a_program_stands_alone() {
+        let framed = |text: &str, dialect| line(text.as_bytes(), dialect).map(|line| line.is_frame);
+        for dialect in [Dialect::Iso, Dialect::Fanuc] {
+            for text in ["O1001", "O0001 (PART) ", "N5 o7", "%", " % ", "%1234", "%O12 (A)", "%:12"] {
+                assert_eq!(framed(text, dialect), Ok(true), "{text}");
+            }
+            for (text, column) in [
+                ("O100 G1 X250.", 5),
+                ("N5 O100 G1", 8),
+                ("O100 M98 P2", 5),
+                ("O1 (a) G20", 7),
+                ("O100 REPEAT [5]", 5),
+                ("O<sub> call [1]", 0),
+                ("%5 G1 X250.", 3),
+                ("% G20", 2),
+                ("%G1X250.", 1),
+                ("O1 (open", 3),
+            ] {
+                assert_eq!(framed(text, dialect).expect_err(text).column, column, "{text}");
+            }
+        }
+        assert_eq!(framed("%_N_PART_MPF ; a G1", Dialect::Siemens), Ok(true));
+        assert_eq!(framed("%_N_PART_MPF G1 X250", Dialect::Siemens).expect_err("a block").column, 13);
+        for dialect in [Dialect::Linuxcnc, Dialect::Grbl] {
+            assert_eq!(framed("%", dialect), Ok(true));
+            assert_eq!(framed("% G1 X250.", dialect).expect_err("a block").column, 2);
+        }
     }
 
     #[test]

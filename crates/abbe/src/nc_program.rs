@@ -341,12 +341,15 @@ impl Asked<'_> {
                 text.push_str(&format!("{}, {} written\n", counted(summary.arcs[0], "arc"), summary.arcs[1]));
             }
             text.push_str(&format!("Largest correction: {} µm\n", short(summary.largest * 1e3)));
-            text.push_str(&format!(
-                "Remaining along feed moves: {} µm at most (line {} of the program), {} µm allowed\n",
-                short(summary.remaining * 1e3),
-                summary.remaining_line,
-                short(options.tolerance * 1e3)
-            ));
+            // A program of rapid moves alone has no such line.
+            if summary.remaining_line > 0 {
+                text.push_str(&format!(
+                    "Remaining along feed moves: {} µm at most (line {} of the program), {} µm allowed\n",
+                    short(summary.remaining * 1e3),
+                    summary.remaining_line,
+                    short(options.tolerance * 1e3)
+                ));
+            }
             if summary.take_ups > 0 {
                 let moves = counted(summary.take_ups, "move");
                 text.push_str(&format!(

@@ -56,6 +56,7 @@ impl Program {
         let own = text[frame.block.clone()].to_ascii_uppercase();
         if let Some(open) = self.open.take() {
             self.open = Some(open).filter(|_| frame.is_open);
+            check_continued(text, &frame, &own)?;
             return match open {
                 Statement::Preset => self.preset(text, &frame, reader),
                 _ => Ok(Action::Copy(None)),
@@ -80,6 +81,11 @@ impl Program {
             ));
         }
         reader.has_block |= !matches!(statement, Statement::Begin | Statement::End);
+        if frame.is_open && !matches!(statement, Statement::Keep | Statement::Preset | Statement::Refuse(..)) {
+            let place = text.iter().rposition(|byte| *byte == b'~').unwrap_or(start);
+            let help = "write the block in one line";
+            return Err(Refusal::new(place, "~", "a block that goes on in the next line", help));
+        }
         self.open = Some(statement).filter(|_| frame.is_open);
         let rest = Cursor::new(text, start + length..frame.block.end);
         match statement {
@@ -366,6 +372,19 @@ impl Program {
         }
         Ok(())
     }
+}
+
+/// Refuses a line that is a block by itself where the one before says that it goes on: nothing of it would be read.
+fn check_continued(text: &[u8], frame: &Frame, own: &[u8]) -> Result<(), Refusal> {
+    let is_block = table::statement(own).is_some_and(|(_, statement)| !matches!(statement, Statement::Refuse(..)))
+        || own.first() == Some(&b'M');
+    if own.is_empty() || !(is_block || frame.number.is_some()) {
+        return Ok(());
+    }
+    let word = String::from_utf8_lossy(&text[frame.block.clone()]);
+    let word = word.split_whitespace().next().unwrap_or_default();
+    let what = "a block where the one before goes on";
+    Err(Refusal::new(frame.block.start, word, what, "write no `~` at the end of the line before"))
 }
 
 /// Refuses words that a block cannot have, and those that stand twice.
