@@ -94,6 +94,31 @@ fn a_transducer_of_an_r_test_that_is_dead_decides_nothing() {
 }
 
 #[test]
+fn a_transducer_that_has_its_own_earlier_readings_decides_nothing() {
+    let of = |column: &str| cells(&Variant::of(&recipes()[ROTARY.0]).path("read-c", "path"), column);
+    for column in ["meas_x_um", "meas_y_um", "meas_z_um"] {
+        let own = of(column);
+        let back: Change<'_> = &|row, _| own[row.min(49 - row)].clone();
+        told_and_undecided(ROTARY, &[(("read-c", column), back)], "has its own earlier readings");
+    }
+    let own = of("meas_z_um");
+    let again: Change<'_> = &|row, _| own[row % 6].clone();
+    told_and_undecided(ROTARY, &[(("read-c", "meas_z_um"), again)], "has its own earlier readings");
+}
+
+#[test]
+fn calibrated_lengths_in_the_place_of_measured_ones_decide_nothing() {
+    let file = Variant::of(&recipes()["standards-cmm"]).path("lengths-beside", "path");
+    let references = cells(&file, "reference_mm");
+    let copied: Change<'_> = &|row, cell| if row < 6 { cell.to_owned() } else { references[row].clone() };
+    told_and_undecided(
+        ("standards-cmm", "e150"),
+        &[(("lengths-beside", "measured_mm"), copied)],
+        "were measured as calibrated",
+    );
+}
+
+#[test]
 fn readings_that_are_cut_off_decide_nothing() {
     let clipped = |most: f64| move |_: usize, cell: &str| format!("{}", number(cell).clamp(-most, most));
     let (five, three) = (clipped(5.0), clipped(3.0));

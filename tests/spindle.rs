@@ -322,6 +322,15 @@ fn readings_in_a_file_are_refused_with_their_line() {
         assert!(in_one_line(&printed.stderr).contains(expected), "case {place}: {}", printed.stderr);
         assert_eq!(printed.status, 1, "case {place}: {}", printed.stderr);
     }
+    // A path that is an ellipse is told: the second sensor is not where the recipe has it.
+    for (degrees, is_told) in [(60, true), (90, false)] {
+        let folder = temporary();
+        let mut variant = recipe("realistic").only(&["motion"]);
+        variant.0["stages"]["motion"]["radial"]["r2"]["azimuth_deg"] = json!(degrees);
+        variant.write(folder.path());
+        let printed = abbe(folder.path(), &["run", "recipe.yaml", "--out", "out"]);
+        assert_eq!(in_one_line(&printed.stderr).contains("is an ellipse"), is_told, "{degrees}: {}", printed.stderr);
+    }
     // Names of parameters follow the speeds of the data.
     let names: Vec<&str> =
         fit(outcome("realistic"), "motion").calibration.parameters.iter().map(|one| one.name.as_str()).collect();

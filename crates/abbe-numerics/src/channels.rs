@@ -1,7 +1,9 @@
-//! What readings say of the instrument that made them: channels that are dead, that have the readings of another channel, that are cut
-//! off at the end of a range, or that stand for a while.
+//! What readings say of the instrument that made them: channels that are dead, that have the readings of another channel or their own
+//! earlier ones, that are cut off at the end of a range, or that stand for a while.
 //!
 //! Commands repeat by plan, and coarse digits repeat by chance: these functions are for what was measured, and they look at the digits.
+
+use crate::repeated_channel::repeated;
 
 /// The readings of one channel of an instrument, in the order in which they were made.
 #[derive(Debug, Clone, Copy)]
@@ -44,6 +46,15 @@ pub enum InstrumentFault {
         channel: usize,
         /// What it reads.
         value: f64,
+        /// The first of these rows, from 0.
+        first: usize,
+        /// How many.
+        rows: usize,
+    },
+    /// It reads what it read before to the last digit, in rows that follow each other or in the opposite order, and others do not.
+    Repeated {
+        /// The channel.
+        channel: usize,
         /// The first of these rows, from 0.
         first: usize,
         /// How many.
@@ -103,6 +114,12 @@ impl InstrumentFault {
                 number(value),
                 first + 1
             ),
+            Self::Repeated { channel, first, rows } => format!(
+                "`{}` has its own earlier readings to the last digit in {rows} rows one after the other, from row {} on, in the same or in \
+                 the opposite order, and the channels beside it read anew: are they copies?",
+                name(channel),
+                first + 1
+            ),
         }
     }
 }
@@ -140,6 +157,8 @@ pub fn instrument_faults(channels: &[Channel<'_>], uncertainty: Option<f64>) -> 
         let clipped = clipped_ends(readings);
         if let (true, Some((value, first, rows))) = (clipped.is_empty(), stuck(readings)) {
             faults.push(InstrumentFault::Stuck { channel: place, value, first, rows });
+        } else if let Some((first, rows)) = repeated(channels, place, uncertainty).filter(|_| is_fine) {
+            faults.push(InstrumentFault::Repeated { channel: place, first, rows });
         }
         faults.extend(clipped.into_iter().map(|end| InstrumentFault::Clipped { channel: place, end }));
     }

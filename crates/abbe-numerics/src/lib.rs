@@ -69,6 +69,7 @@ mod near;
 mod one_pass;
 mod passes;
 mod regression;
+mod repeated_channel;
 mod reweighting;
 mod robust;
 mod row_noise;

@@ -248,6 +248,7 @@ impl Circular {
         let both = traces[0].as_ref().zip(traces[1].as_ref()).and_then(|(one, other)| Bidirectional::of(one, other));
         faults.extend(traces.iter().flatten().find_map(too_many_turns));
         faults.extend(traces.iter().flatten().find_map(hardly_an_arc));
+        faults.extend(unequal_arcs(&traces));
         let places: Vec<usize> = angles.iter().map(|angle| place_of_angle(*angle)).collect();
         faults.extend(smaller_direction(&[&um], &directions(data)?, &places, "um"));
         faults.extend(self.beside(data, angles)?);
@@ -365,6 +366,28 @@ fn hardly_an_arc(trace: &Trace) -> Option<String> {
     })
 }
 
+/// Part of the arc of one direction that the other one has to go over: both go to and fro over one arc.
+const SAME_ARC: f64 = 0.9;
+
+/// Directions that go over different arcs: a part of one is missing.
+fn unequal_arcs(traces: &[Option<Trace>; 2]) -> Option<String> {
+    let [Some(ccw), Some(cw)] = traces else { return None };
+    // Circles may have more overshoot in one direction.
+    if ccw.is_full() && cw.is_full() {
+        return None;
+    }
+    let [one, other] = [ccw, cw].map(Trace::travel);
+    (one.min(other) < SAME_ARC * one.max(other)).then(|| {
+        format!(
+            "{} goes over {:.1} deg and {} over {:.1} deg: is a part of one missing?",
+            name_of(true),
+            one.to_degrees(),
+            name_of(false),
+            other.to_degrees()
+        )
+    })
+}
+
 /// What a trace is not.
 fn told(trace: &Trace, run: &str, way: &str) -> Vec<String> {
     let mut told = Vec::new();
@@ -448,6 +471,21 @@ mod tests {
             }
             let (said, is_decided) = judged(150.0, &stretched);
             assert!(!is_decided && said.contains("off those of `angle`"), "{plane:?}: {said}");
+        }
+    }
+
+    #[test]
+    fn an_arc_of_which_a_part_is_missing_decides_nothing() {
+        let both = data(["A_mm", "B_mm"], |at| at);
+        for (first, count, is_told) in [(360, 220, false), (400, 180, true), (360, 150, true), (365, 210, false)] {
+            // 220 degrees in the positive direction, and a part of these in the other one.
+            let rows: Vec<DataRow> = (0..220).chain(first..first + count).map(DataRow).collect();
+            let circular: Circular =
+                abbe_core::from_settings(&json!({ "radius_mm": 150, "limits": { "F_um": 100 } })).expect("settings");
+            let found = circular.findings(&[&both.of_rows(&rows)]).expect("findings");
+            let said = found.remarks.join("\n");
+            let is_decided = found.figures.iter().all(|figure| figure.inconclusive.is_none());
+            assert!(said.contains("a part of one missing") == is_told && is_decided != is_told, "{count}: {said}");
         }
     }
 

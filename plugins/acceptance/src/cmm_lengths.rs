@@ -1,11 +1,13 @@
 //! Validator plugin `cmm-lengths`: length measurement errors in the manner of ISO 10360-2.
 
 use std::cmp::Ordering::{Equal, Greater};
+use std::f64::consts::PI;
 
 use abbe_core::{
     Context, DataRow, Dataset, Decision, Error, EstimateSource, Figure, Findings, Limit, PathItem, Quantity, Result,
     Rule, SettingsError, Validate, not_negative, positive, rule_or_name, schema_of_rules,
 };
+use abbe_numerics::resolution;
 use abbe_standards::lengths::{
     EDITION, Judged, LENGTHS, LINES, LINES_BESIDE, Measured, Permissible, Set, VALUES, judge, sets,
 };
@@ -157,6 +159,37 @@ fn is_computed(errors: &[f64]) -> bool {
     2 * errors.iter().filter(has_finer).count() > errors.len()
 }
 
+/// Fewest values that are told to have the calibrated length, the factor by which the scatter may be smaller than that of the others, and
+/// the probability below which so many do not have it by chance.
+const FEWEST: usize = 8;
+const SMALLER: f64 = 2.0;
+const BY_CHANCE: f64 = 1e-6;
+
+/// Part of the values that have it by chance where digits are too coarse to tell.
+const COARSE: f64 = 0.25;
+
+/// How many values have the calibrated length to the last digit, where no chance makes so many: the column of the lengths in the place of
+/// what was measured. All of them are told elsewhere.
+fn calibrated_as_measured(all: &[Measured]) -> Option<String> {
+    let is_same = |value: &&Measured| (value.measured - value.reference).abs() < 1e-9;
+    let (same, count) = (all.iter().filter(is_same).count(), all.len());
+    if same < FEWEST || same == count {
+        return None;
+    }
+    let squares: f64 = all.iter().map(|value| value.error().powi(2)).sum();
+    let scatter = (squares / (count - same) as f64).sqrt() / SMALLER;
+    let step = resolution(&all.iter().map(|value| value.measured).collect::<Vec<f64>>())?;
+    let chance = (step / (2.0 * PI).sqrt() / scatter).min(1.0);
+    // At least so many by chance, at most with this probability (Chernoff 1952).
+    let part = same as f64 / count as f64;
+    let exponent = part * (part / chance).ln() + (1.0 - part) * ((1.0 - part) / (1.0 - chance).max(1e-300)).ln();
+    (part > chance && chance < COARSE && (-(count as f64) * exponent).exp() < BY_CHANCE).then(|| {
+        format!(
+            "{same} of {count} lengths were measured as calibrated, to the last digit: was one column copied into the other?"
+        )
+    })
+}
+
 /// Errors of the values of each length in steps of their digits: calibrated lengths have finer digits than a CMM.
 fn in_digits(all: &[Measured], sets: &[Set]) -> Vec<Vec<f64>> {
     let digit = digit(all.iter().map(|value| value.measured));
@@ -214,6 +247,7 @@ impl Lengths {
             .filter(|_| doubted.is_none() && !is_computed(&errors))
             .into_iter()
             .collect();
+        let copied: Vec<String> = copied.into_iter().chain(calibrated_as_measured(&all)).collect();
         findings.remarks.extend(doubted);
         findings.remarks.extend(copied.iter().map(|copied| format!("{run}: {copied}")));
         findings.remarks.extend(misplaced(&run, data, &all));
@@ -324,5 +358,48 @@ impl Acceptance for Lengths {
              measured three times again"
         ));
         Ok(findings)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use abbe_numerics::Generator;
+
+    use super::*;
+
+    /// Lengths of five lines, each three times, with scatter and digits, mm.
+    fn lengths(random: &mut Generator, [scatter, digit, of_reference]: [f64; 3]) -> Vec<Measured> {
+        let slope = 1e-3 * scatter * random.uniform();
+        let of = |place: usize| {
+            let nominal = 100.0 + 80.0 * (place / 3 % 5) as f64 + 0.003 * random.uniform();
+            let reference = (nominal / of_reference).round() * of_reference;
+            let measured = reference + slope * reference + scatter * random.normal();
+            Measured { line: (place / 15).to_string(), reference, measured: (measured / digit).round() * digit }
+        };
+        (0..105).map(of).collect()
+    }
+
+    #[test]
+    fn lengths_that_were_measured_get_no_word() {
+        for seed in 0..3_000 {
+            let mut random = Generator::new(seed, 1);
+            let scatter = 1e-3 * [0.05, 0.2, 0.5, 1.0, 3.0][random.index(5)];
+            let digit = 1e-3 * [0.01, 0.1, 0.5, 1.0][random.index(4)];
+            let of_reference = 1e-3 * [0.01, 0.1, 1.0][random.index(3)];
+            let all = lengths(&mut random, [scatter, digit, of_reference]);
+            assert_eq!(calibrated_as_measured(&all), None, "{seed}: {scatter} {digit}");
+        }
+    }
+
+    #[test]
+    fn lengths_that_are_the_calibrated_ones_are_told() {
+        for seed in 0..500 {
+            let mut random = Generator::new(seed, 2);
+            let mut all = lengths(&mut random, [1e-3, 1e-5, 1e-4]);
+            let count = 10 + random.index(90);
+            all[..count].iter_mut().for_each(|value| value.measured = value.reference);
+            let said = calibrated_as_measured(&all).unwrap_or_else(|| panic!("{seed}: {count}"));
+            assert!(said.contains("of 105 lengths"), "{said}");
+        }
     }
 }

@@ -80,7 +80,7 @@ pub struct Motion {
     /// Smallest and largest range that readings of a sensor may have.
     #[serde(default = "plausible")]
     pub plausible_um: [f64; 2],
-    /// Take a fundamental that goes round against the spindle even if it is larger than the eccentricity.
+    /// Take a fundamental of which much goes round against the spindle, even more than with it, without a word.
     #[serde(default)]
     pub accept_backward: bool,
 }
@@ -103,6 +103,11 @@ fn harmonics() -> u16 {
 fn sectors() -> u16 {
     128
 }
+
+/// Part of the eccentricity that may go round against the spindle before it is told, and what is never told, um. An artefact on a spindle
+/// runs on a circle; an ellipse shows another azimuth, or another scale, of one of two sensors.
+const ELLIPSE: f64 = 0.15;
+const CLEAR_UM: f64 = 0.3;
 
 /// 10 nm to 1 mm.
 pub fn plausible() -> [f64; 2] {
@@ -270,7 +275,7 @@ impl Motion {
         }
     }
 
-    /// Fails where the fundamental goes round against the spindle.
+    /// Fails where the fundamental goes round against the spindle, and tells where much of it does.
     fn check_sense(&self, run: &Run, found: &Found, name: &str) -> Result<()> {
         let size = |parts: [&str; 2]| {
             let of = |part: &str| {
@@ -284,10 +289,19 @@ impl Motion {
             of(parts[0]).hypot(of(parts[1])) * 1e3
         };
         let (forward, backward) = (size(["ecc.x", "ecc.y"]), size(["back.cos", "back.sin"]));
+        let names: Vec<&str> = self.radial.keys().map(String::as_str).collect();
+        if !self.accept_backward && backward <= forward && backward > (ELLIPSE * forward).max(CLEAR_UM) {
+            tracing::warn!(
+                "run `{}`: {backward:.3} um of its fundamental go round against the spindle, {forward:.3} um with it, so that the path of \
+                 the artefact is an ellipse: are the columns of {}, `azimuth_deg` and the units of both right? If it is so, write \
+                 `accept_backward: true`",
+                run.label,
+                names.join(" and ")
+            );
+        }
         if self.accept_backward || backward <= forward {
             return Ok(());
         }
-        let names: Vec<&str> = self.radial.keys().map(String::as_str).collect();
         let message = format!(
             "{backward:.3} um of its fundamental go round against the spindle, {forward:.3} um with it: are {} swapped, or is one of \
              them the column of another sensor{}?",
