@@ -194,8 +194,18 @@ impl Assembly {
         for (setting, filters, _) in self.filters() {
             for (name, listed) in filters {
                 let there: BTreeSet<&str> = abbe_table::labels(data, name)?.iter().map(LabelText::as_str).collect();
-                for label in listed.iter().filter(|label| !there.contains(label.0.as_str())) {
-                    tracing::warn!("`{setting}` names {name} {}, which is in no row of these data", label.0);
+                for Label(label) in listed {
+                    let other = same_number(label, &there);
+                    let as_written = other.map_or(String::new(), |other| {
+                        format!("; {name} {other} is the same number: if it is meant, write it in quotes")
+                    });
+                    match there.contains(label.as_str()) {
+                        true if other.is_none() => {}
+                        true => tracing::warn!("`{setting}` names {name} {label}{as_written}"),
+                        false => tracing::warn!(
+                            "`{setting}` names {name} {label}, which is in no row of these data{as_written}"
+                        ),
+                    }
                 }
             }
         }
@@ -430,5 +440,31 @@ fn pick(values: &Values, rows: &[DataRow]) -> Values {
     match values {
         Values::Numbers(numbers) => Values::Numbers(rows.iter().map(|&row| numbers[row]).collect()),
         Values::Labels(labels) => Values::Labels(rows.iter().map(|&row| labels[row].clone()).collect()),
+    }
+}
+
+/// Another label that is the same number. A number that is written in a recipe without quotes, `1.10`, comes as the shortest one, `1.1`: what
+/// is not the shortest one was in quotes.
+fn same_number<'a>(label: &str, there: &BTreeSet<&'a str>) -> Option<&'a str> {
+    let number = label.parse::<f64>().ok().filter(|number| number.is_finite())?;
+    let is_shortest = [format!("{number}"), format!("{number:?}")].iter().any(|shortest| shortest == label);
+    let is_other = |other: &&&str| **other != label && other.parse::<f64>().ok() == Some(number);
+    there.iter().find(is_other).copied().filter(|_| is_shortest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn labels_that_are_one_number_are_found() {
+        let found = |label: &str, there: &[&'static str]| same_number(label, &there.iter().copied().collect());
+        // `1.10` and `1.0` without quotes come as these.
+        assert_eq!(found("1.1", &["1.1", "1.10", "2"]), Some("1.10"));
+        assert_eq!(found("1.0", &["1", "2"]), Some("1"));
+        assert_eq!(found("5", &["+5", "6"]), Some("+5"));
+        for (label, there) in [("1.10", &["1.1", "1.10"][..]), ("1.1", &["1.1", "2"]), ("a", &["a", "b"])] {
+            assert_eq!(found(label, there), None, "{label}");
+        }
     }
 }

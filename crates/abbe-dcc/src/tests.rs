@@ -262,6 +262,7 @@ fn what_is_no_certificate_of_the_item_is_refused_with_its_line() {
         (good.replace("?>\n", "?>\n<!DOCTYPE x [<!ENTITY a 'aaaaaaaaaa'>]>\n"), "has a DTD"),
         (good.replace("0.1000002", "0,1000002"), "`0,1000002` in <valueXMLList>; a number was expected"),
         (good.replace("0.1000002", "NaN"), "a number was expected"),
+        (good.replace("0.1000002", "0.1000<!-- a -->002"), "a comment inside of a text"),
         (good.replace("L1 L2", "L1"), "1 labels for 2 values"),
         (good.replace("4e-7 0.6", "4e-7 0.6 1"), "3 entries in <uncertaintyXMLList> for 2 values"),
         (good.replace("4e-7 0.6", "-4e-7"), "at least 0"),

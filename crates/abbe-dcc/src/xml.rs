@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use abbe_core::{Error, Result};
-use roxmltree::{Document, Node};
+use roxmltree::{Document, Node, TextPos};
 
 /// A document and its file.
 pub(crate) struct Xml<'a> {
@@ -13,7 +13,7 @@ pub(crate) struct Xml<'a> {
 
 /// The document of a text. A DTD is refused, and with it every entity of its own.
 pub(crate) fn document<'a>(file: &Path, text: &'a str) -> Result<Document<'a>> {
-    Document::parse(text).map_err(|error| {
+    let document = Document::parse(text).map_err(|error| {
         let place = error.pos();
         let message = match error {
             roxmltree::Error::DtdDetected => "the certificate has a DTD, which is not read".to_owned(),
@@ -21,7 +21,26 @@ pub(crate) fn document<'a>(file: &Path, text: &'a str) -> Result<Document<'a>> {
         };
         let error = Error::data(message).at(file, place.row as usize, Some(place.col as usize));
         error.help("take the file as the laboratory issued it")
-    })
+    })?;
+    match divided(&document) {
+        None => Ok(document),
+        Some(place) => Err(Error::data("a comment inside of a text")
+            .at(file, place.row as usize, Some(place.col as usize))
+            .help("take the file as the laboratory issued it")),
+    }
+}
+
+/// Where a comment, or an instruction, stands inside of a text: whoever reads its first piece would lose the others.
+fn divided(document: &Document<'_>) -> Option<TextPos> {
+    let is_between = |node: &Node<'_, '_>| node.is_comment() || node.is_pi();
+    let is_text = |node: Option<Node<'_, '_>>| {
+        node.is_some_and(|node| node.is_text() && node.text().is_some_and(|text| !text.trim().is_empty()))
+    };
+    let divides = |node: &Node<'_, '_>| {
+        let before = node.prev_siblings().find(|node| !is_between(node));
+        is_between(node) && is_text(before) && is_text(node.next_siblings().find(|node| !is_between(node)))
+    };
+    document.descendants().find(divides).map(|node| document.text_pos_at(node.range().start))
 }
 
 /// The children with a name.

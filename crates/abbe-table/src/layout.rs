@@ -7,6 +7,8 @@ use abbe_core::{ColumnHeader, Quantity};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
+use crate::number::plain;
+
 /// What separates the columns of a table.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -175,7 +177,8 @@ pub struct Layout {
     pub skip_after_header: usize,
     /// Whether there is a header row.
     pub has_header: bool,
-    /// Contents of cells that stand for a number that was not measured: such rows are left out.
+    /// Contents of cells that stand for a number that was not measured: such rows are left out. A number counts as one, however it is
+    /// written: a recipe has `0.50` as 0.5.
     pub no_data: Vec<String>,
     /// The columns to take, by the name (with unit) that they have in the data set; none: all, as the header row names them.
     pub columns: Option<BTreeMap<String, ColumnSource>>,
@@ -194,6 +197,15 @@ impl Default for Layout {
             no_data: Vec::new(),
             columns: None,
         }
+    }
+}
+
+impl Layout {
+    /// Whether a cell, without space around it, has a mark of `no_data`.
+    pub(crate) fn is_mark(&self, cell: &str) -> bool {
+        let number = || plain(cell, self.decimal, self.thousands)?.parse::<f64>().ok();
+        let is_number = |mark: &String| mark.parse::<f64>().is_ok_and(|mark| number() == Some(mark));
+        self.no_data.iter().any(|mark| mark == cell || is_number(mark))
     }
 }
 

@@ -195,7 +195,7 @@ impl Taken {
     fn is_absent(&self, records: &Records, layout: &Layout) -> bool {
         !layout.no_data.is_empty()
             && self.header.quantity != Quantity::Label
-            && records.cells.get(self.index).is_some_and(|cell| layout.no_data.iter().any(|mark| mark == cell.trim()))
+            && records.cells.get(self.index).is_some_and(|cell| layout.is_mark(cell.trim()))
     }
 }
 

@@ -422,7 +422,7 @@ fn describe(column: &mut Found, cells: &[&str], layout: &Layout) -> Vec<(usize, 
     for (row, cell) in cells.iter().enumerate() {
         let number = plain(cell, layout.decimal, layout.thousands).and_then(|cell| cell.parse::<f64>().ok());
         match number.filter(|number| number.is_finite()) {
-            _ if layout.no_data.iter().any(|mark| mark == cell) && !cell.is_empty() => {
+            _ if !cell.is_empty() && layout.is_mark(cell) => {
                 *column.texts.entry((*cell).to_owned()).or_default() += 1;
             }
             Some(number) => numbers.push((row, number)),

@@ -57,7 +57,7 @@ fn what_is_wrong_is_said_with_its_place() {
         (b"\0\0\0", "Data: t.csv:1:1: the file holds a zero byte: it is no text"),
         (
             b"\xff\xfef\0",
-            "Data: t.csv: the file is text in UTF-16; UTF-8 was expected (save it as UTF-8, or write `encoding: utf-16` where it is read by `ingest: csv`)",
+            "Data: t.csv: the file is text in UTF-16; UTF-8 was expected (save it as UTF-8; for a table that `ingest: csv` reads, `encoding: utf-16` does)",
         ),
         (
             b"X_mm;Y_mm\n1;2\n",
@@ -375,6 +375,11 @@ fn what_a_layout_does_not_fit_is_said_with_its_place() {
     assert!(read(b"\xff\xfea\0\n\0\0\xd8b\0", utf_16).starts_with("t.csv:2:1: the file is not text in UTF-16"));
     let latin = Layout { encoding: Encoding::Latin1, ..Layout::default() };
     assert!(read(b"\xff\xfea\0", latin).contains("write `encoding: utf-16`"));
+    // A mark that is a number is one, however it is written: a recipe has `0.50` as 0.5.
+    for (mark, cell) in [("0.5", "0.50"), ("-999", "-999.0"), ("0.5", "+.5"), ("999", "9.99e2"), ("0", "0.0000")] {
+        let told = read(format!("a\n{cell}\n").as_bytes(), named("a", &[mark]));
+        assert!(told.starts_with("t.csv: all rows of the file hold a mark of `no_data`"), "{mark} {cell}: {told}");
+    }
     // Rows without a number keep the others' lines and numbers.
     let layout = named("a", &["---", ""]);
     let (data, left_out) = dataset(Path::new("t.csv"), b"b,a\n1,2\n1,---\n3, \n4,5\n", &layout).unwrap();

@@ -45,7 +45,7 @@ pub fn text<'a>(path: &Path, bytes: &'a [u8], encoding: Encoding) -> Result<Cow<
     if OF_UTF_32.iter().any(|mark| bytes.starts_with(mark)) {
         let error = Error::data("the file is text in UTF-32, which is not read").in_file(path);
         return Err(
-            error.help("save it as UTF-8, or as UTF-16 with `encoding: utf-16` where it is read by `ingest: csv`")
+            error.help("save it as UTF-8; for a table that `ingest: csv` reads, UTF-16 with `encoding: utf-16` does")
         );
     }
     if let Some((format, plugin)) = of_columns(bytes) {
@@ -57,7 +57,7 @@ pub fn text<'a>(path: &Path, bytes: &'a [u8], encoding: Encoding) -> Result<Cow<
     match encoding {
         Encoding::Utf8 if is_marked => Err(Error::data("the file is text in UTF-16; UTF-8 was expected")
             .in_file(path)
-            .help("save it as UTF-8, or write `encoding: utf-16` where it is read by `ingest: csv`")),
+            .help("save it as UTF-8; for a table that `ingest: csv` reads, `encoding: utf-16` does")),
         Encoding::Utf8 => utf_8(path, bytes),
         Encoding::Utf16 => utf_16(path, bytes),
         Encoding::Latin1 => characters(path, bytes, encoding_rs::WINDOWS_1252, "Latin-1"),

@@ -45,8 +45,8 @@ pub(crate) struct Settings {
     /// Whether there is a header row; without one `columns` numbers the columns.
     #[serde(default = "yes")]
     header: bool,
-    /// What stands in the place of a number that was not measured. Rows with such a cell in a column of numbers are left out,
-    /// and counted in a remark.
+    /// What stands in the place of a number that was not measured. A number is one however it is
+    /// written. Rows with such a cell in a column of numbers are left out, and counted in a remark.
     #[serde(default)]
     no_data: Vec<Label>,
     /// The columns to take, all others are left out: name with unit, and the name that it has in the files.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use abbe_core::{Context, Dataset, Error, Ingest, Result, SettingsError};
-use roxmltree::{Document, Node};
+use roxmltree::{Document, Node, TextPos};
 use serde_json::{Value, json};
 
 use super::table::{Rows, Settings, Units, no_unit, number, stage};
@@ -72,6 +72,10 @@ pub(crate) fn read(path: &Path, text: &str, units: Option<Units>) -> Result<(Dat
         let error = Error::data(format!("the file is no XML: {error}"));
         error.at(path, place.row as usize, Some(place.col as usize)).help("is the file cut?")
     })?;
+    if let Some(place) = divided(&document) {
+        let error = Error::data("a comment inside of a text");
+        return Err(error.at(path, place.row as usize, Some(place.col as usize)).help("take it out"));
+    }
     let root = document.root_element();
     let version = root.attribute("versionQIF").unwrap_or_default();
     if root.tag_name().name() != "QIFDocument" || !version.starts_with("3.") {
@@ -98,6 +102,19 @@ pub(crate) fn read(path: &Path, text: &str, units: Option<Units>) -> Result<(Dat
     let remark = format!("{others} measured features are no point, sphere or circle, and are left out");
     let data = rows.finish("measured point, sphere or circle")?;
     Ok((data, if others > 0 { vec![remark] } else { Vec::new() }))
+}
+
+/// Where a comment, or an instruction, stands inside of a text: whoever reads its first piece would lose the others.
+fn divided(document: &Document<'_>) -> Option<TextPos> {
+    let is_between = |node: &Node<'_, '_>| node.is_comment() || node.is_pi();
+    let is_text = |node: Option<Node<'_, '_>>| {
+        node.is_some_and(|node| node.is_text() && node.text().is_some_and(|text| !text.trim().is_empty()))
+    };
+    let divides = |node: &Node<'_, '_>| {
+        let before = node.prev_siblings().find(|node| !is_between(node));
+        is_between(node) && is_text(before) && is_text(node.next_siblings().find(|node| !is_between(node)))
+    };
+    document.descendants().find(divides).map(|node| document.text_pos_at(node.range().start))
 }
 
 /// The children of an element with a name.

@@ -206,6 +206,7 @@ fn qif_results_are_read_with_their_nominal_features() {
             "<UnitName>inch",
             "file.txt:4:5: the UnitName is inch, which is 25.4 mm, and the Factor says 1 mm",
         ),
+        ("<Factor>0.001<", "<Factor>0.00<!-- a -->1<", "a comment inside of a text"),
         ("<SIUnitName>meter", "<SIUnitName>parsec", "file.txt:4:5: the LinearUnit is no multiple of the metre"),
         ("<Factor>0.001<", "<Factor>0,001<", "no multiple of the metre"),
         (
