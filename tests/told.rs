@@ -443,3 +443,12 @@ fn a_place_with_the_other_sign_is_named() {
     assert!(!told.contains("styli.3"), "{told}");
     assert!(told.contains("twice, as with a wrong sign of, `nominal x of 1 in sphere-once` (-148 mm)"), "{told}");
 }
+
+#[test]
+fn new_rows_whose_uncertainties_would_hide_any_change_are_told() {
+    let is_told = |recipe: &Variant| said(recipe).contains("are off what is known by");
+    let mut recipe = Variant::of(&recipes()["tango-warming-retrain"]);
+    assert!(!is_told(&recipe));
+    recipe.stage("ball-friday")["standard_uncertainty_um"] = json!(800);
+    assert!(is_told(&recipe));
+}

@@ -18,7 +18,7 @@ use crate::unwritable;
 pub const RESULT_FORMAT: u32 = 1;
 
 /// Bytes of the largest result: 4 GiB.
-const LARGEST: u64 = 4 << 30;
+pub(crate) const LARGEST: u64 = 4 << 30;
 
 /// Bytes of the longest first line.
 const LONGEST_HEAD: u64 = 4096;

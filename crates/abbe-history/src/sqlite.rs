@@ -223,7 +223,7 @@ fn failed(path: &Path, error: &rusqlite::Error) -> Error {
         Some(NotADatabase) => Error::usage(format!("{path} is no history")).help("name another file"),
         Some(DatabaseBusy) => {
             let message = format!("{path} is being written by another program, for {} s now", PATIENCE.as_secs());
-            Error::data(message).help("try again; nothing of this entry was added")
+            Error::data(message).help("try again when it is done; nothing was changed")
         }
         Some(ReadOnly | PermissionDenied) => told(
             "written",

@@ -265,7 +265,9 @@ fn parsed(text: &str) -> Result<(Analysis, Vec<Quality>)> {
 }
 
 fn unreadable(file: &Path, error: &std::io::Error) -> Error {
-    Error::data(format!("the file cannot be read: {}", abbe_files::why(error))).in_file(file)
+    let message = format!("the file cannot be read: {}", abbe_files::why(error));
+    let error = if error.kind() == std::io::ErrorKind::NotFound { Error::usage(message) } else { Error::data(message) };
+    error.in_file(file)
 }
 
 fn fit_result(file: &Path, text: &str, registry: &Registry) -> Result<FitResult> {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use abbe_core::{Error, Monitor, Result, harmless};
+use abbe_core::{Error, Monitor, Result};
 use abbe_fleet::{
     Finished, Fleet, Limits, Manifest, Registries, Rounds, Status, Worker, merge, next_round, plan, serve, status,
     supervise,
@@ -15,6 +15,7 @@ use clap::{Args, Subcommand};
 use indicatif::ProgressBar;
 use serde_json::json;
 
+use crate::failure::readable;
 use crate::interrupt::{self, seconds};
 use crate::libraries::{Libraries, this_program};
 use crate::outputs::is_file_name;
@@ -295,7 +296,7 @@ fn state(status: &Status, json: bool) -> Result<(String, u8)> {
 /// A text, and the jobs that failed.
 fn with_failures(mut text: String, failed: &[(String, String)]) -> (String, u8) {
     for (name, reason) in failed {
-        let _ = writeln!(text, "failed: {}: {}", harmless(name), harmless(reason));
+        let _ = writeln!(text, "failed: {}: {}", readable(name), readable(reason));
     }
     (text, u8::from(!failed.is_empty()))
 }

@@ -90,8 +90,12 @@ impl Machine {
                 "{{ model: serial-chain, chain: {chain}, tool_length_mm: {TOOL_LENGTH}, stylus_radius_mm: 0 }}"
             );
             let made = prepare_text(Path::new("chain.yaml"), &recipe(&stage), &registry);
-            // The recipe was made here: its lines say nothing.
-            return made.map_err(|error| Error { place: None, stage: None, ..error });
+            let help = "name a machine file or a recipe (`.yaml`), or write a chain, as \"w C' A' b X Y Z t\"";
+            return made.map_err(|error| match self.machine.trim().contains(' ') {
+                // The recipe was made here: its lines say nothing.
+                true => Error { place: None, stage: None, ..error },
+                false => Error::usage("there is no such file").in_file(&path).help(help),
+            });
         }
         let content = abbe_files::read_text(&path, abbe_files::LARGEST_TEXT).map_err(unreadable)?;
         // Lines may end in CR alone.

@@ -54,6 +54,11 @@ struct Sequential {
     settings: Settings,
 }
 
+/// Probability of a chi-squared below the one found under which the new rows agree too well, and the part of what is stated below which
+/// data are exact.
+const TOO_WELL: f64 = 1e-5;
+const EXACT: f64 = 1e-6;
+
 impl Sequential {
     /// What the rows of a problem tell, with what is known, before anything is solved; unknowns are the wanted ones alone.
     fn judge(&self, stack: &Stack<'_>) -> Result<Identifiability> {
@@ -82,6 +87,17 @@ impl Sequential {
     fn judge_innovation(&self, problem: &Problem, innovation: &Innovation) -> Result<()> {
         let found = &innovation.agreement;
         if found.probability >= self.settings.significance {
+            // Uncertainties that are far too large hide any disagreement.
+            let scatter = (found.chi_squared / found.degrees_of_freedom.max(1) as f64).sqrt();
+            if found.degrees_of_freedom > 0 && 1.0 - found.probability < TOO_WELL && scatter > EXACT {
+                tracing::warn!(
+                    "{}: the new rows are off what is known by {scatter:.1e} of what their uncertainties say (chi-squared {:.1e} with {} \
+                     degrees of freedom): are these uncertainties in the unit of their keys? They would hide any change",
+                    problem.name,
+                    found.chi_squared,
+                    found.degrees_of_freedom
+                );
+            }
             return Ok(());
         }
         let mut message = format!(
