@@ -3,6 +3,7 @@
 //! To read text again takes as long as all else that a pass does. The file has no name, so that nothing of it stays, and is in the
 //! folder for temporary files (`TMPDIR`). Where it cannot be written, files are read again.
 
+use std::collections::HashMap;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::PathBuf;
@@ -55,14 +56,14 @@ struct Run {
     row: usize,
 }
 
-/// The cells of a column; labels one after another, with the bytes of each.
+/// The cells of a column. Labels repeat: each stands there once, and cells have its place.
 #[derive(Serialize, Deserialize)]
 enum Cells {
     /// So many.
     Numbers(usize),
     Labels {
-        text: String,
-        lengths: Vec<usize>,
+        distinct: Vec<LabelText>,
+        places: Vec<u32>,
     },
 }
 
@@ -198,7 +199,17 @@ impl Cells {
         match values {
             Values::Numbers(numbers) => Self::Numbers(numbers.len()),
             Values::Labels(labels) => {
-                Self::Labels { text: labels.concat(), lengths: labels.iter().map(|label| label.len()).collect() }
+                let (mut distinct, mut known) = (Vec::new(), HashMap::new());
+                let mut places = Vec::with_capacity(labels.len());
+                for label in labels {
+                    let next = distinct.len() as u32;
+                    let place = *known.entry(label).or_insert(next);
+                    if place == next {
+                        distinct.push(label.clone());
+                    }
+                    places.push(place);
+                }
+                Self::Labels { distinct, places }
             }
         }
     }
@@ -210,14 +221,9 @@ impl Cells {
                 let bytes = numbers.split_off(..(own == count).then_some(8 * count)?)?;
                 Some(Values::Numbers(bytes.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect()))
             }
-            Self::Labels { text, lengths } => {
-                let mut rest = text.as_str();
-                let label = |length: usize| {
-                    let (own, others) = rest.split_at_checked(length)?;
-                    rest = others;
-                    Some(own.into())
-                };
-                let labels: Option<Vec<LabelText>> = lengths.into_iter().map(label).collect();
+            Self::Labels { distinct, places } => {
+                let labels = places.into_iter().map(|place| distinct.get(place as usize).cloned());
+                let labels: Option<Vec<LabelText>> = labels.collect();
                 labels.filter(|labels| labels.len() == count).map(Values::Labels)
             }
         }

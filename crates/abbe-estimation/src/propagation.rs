@@ -81,6 +81,35 @@ pub struct Linearisation<'a> {
     pub root: CovarianceRoot,
 }
 
+/// What the rows of every set tell, and all of them, with columns for what is considered after those of the unknowns.
+pub(crate) struct RowsOfSets {
+    pub of_sets: Vec<Factor>,
+    pub extended: Factor,
+}
+
+impl RowsOfSets {
+    /// The rows of a problem at x, those that are kept. None where repeats are pooled or a certificate constrains rows, whose uncertainty is
+    /// not that of the rows alone.
+    pub fn new(problem: &Problem, x: &[f64], kept: Option<&[f64]>) -> Result<Option<Self>> {
+        if problem.constraints().contains(&true) || !problem.repeated_together().is_empty() {
+            return Ok(None);
+        }
+        let mut extended = problem.with_values(x);
+        extended.unknowns.extend(problem.considered.unknowns.iter().cloned());
+        let of_sets = Weighted::new(&extended)?.factors(&extended.start(), kept, &problem.equation_ranges())?;
+        let extended = match of_sets.as_slice() {
+            [only] => Some(only.clone()),
+            several => Factor::combined(&several.iter().collect::<Vec<_>>()),
+        };
+        Ok(extended.map(|extended| Self { of_sets, extended }))
+    }
+
+    /// The factor of all rows with the columns of the unknowns of the problem.
+    pub fn without_considered(&self, problem: &Problem) -> Factor {
+        self.extended.without_unknowns(|column| column >= problem.unknowns.len())
+    }
+}
+
 impl Propagation {
     /// Propagates all inputs. With `split` every artefact is an input by itself.
     pub fn new(at: &Linearisation<'_>, scales: AposterioriFactors, split: bool) -> Result<Self> {

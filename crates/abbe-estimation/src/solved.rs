@@ -14,7 +14,7 @@ use crate::contact::{is_judged_as_recorded, rank_point};
 use crate::equivalent_motion_errors::equivalent_motion_errors;
 use crate::judgement::Judgement;
 use crate::parts::{RowsInParts, SolutionOfParts};
-use crate::propagation::{AposterioriFactors, Linearisation, Propagation};
+use crate::propagation::{AposterioriFactors, Linearisation, Propagation, RowsOfSets};
 use crate::rank::{
     ILL_CONDITIONED, confounded, explained_identifiability, identifiability, ill_conditioned, separated, weakest,
 };
@@ -107,65 +107,49 @@ impl UncertaintyEvaluation {
     ) -> Result<Calibration> {
         let EstimatorSolution { x, factor, robust, iterations, last_step, gradient_cosine } = solved;
         let (report, loss) = robust.unzip();
-        let rank = lost.as_ref().map_or(problem.unknowns.len(), |lost| lost.determined.count());
-        let weighted = Weighted::new(problem)?;
         let judged = rank_point(problem, &x)?;
         // Rows with weight zero give no information. Rows with a reduced weight still do.
         let kept: Option<Vec<f64>> =
             (report.as_ref()).map(|report| report.weights.iter().map(|weight| f64::from(*weight > 0.0)).collect());
+        let kept = kept.as_deref();
+        let of_sets = if self.explained { RowsOfSets::new(&judged, &x, kept)? } else { None };
         let is_recorded = is_judged_as_recorded(problem);
-        let (factor, recorded) = match factor {
-            Some(factor) if is_recorded && kept.is_none() => (factor, None),
-            recorded => (Weighted::new(&judged)?.factor(&x, kept.as_deref())?, recorded),
+        let (factor, recorded) = match (&of_sets, factor) {
+            (Some(of_sets), recorded) => (of_sets.without_considered(problem), recorded),
+            (None, Some(factor)) if is_recorded && kept.is_none() => (factor, None),
+            (None, recorded) => (Weighted::new(&judged)?.factor(&x, kept)?, recorded),
         };
-        let determined = lost.as_ref().map(|lost| lost.determined.clone());
-        let root_of = |factor: &Factor| match &determined {
-            Some(determined) => determined.covariance_root(factor),
+        let rank = lost.as_ref().map_or(problem.unknowns.len(), |lost| lost.determined.count());
+        let root_of = |factor: &Factor| match &lost {
+            Some(lost) => lost.determined.covariance_root(factor),
             None => factor.covariance_root(rank),
         };
-        let (found, residuals) = match lost {
-            None => {
-                let (found, residuals) = both(|| self.identifiability(problem, &factor), || problem.residuals(&x));
-                let found = match kept.as_ref().filter(|kept| found.rank == rank && kept.contains(&0.0)) {
-                    Some(kept) => {
-                        let judged = Judgement::new(problem, Some(kept))?;
-                        let without = identifiability(problem, judged.factor(), self.rank_tolerance);
-                        if without.rank < rank { without } else { found }
-                    }
-                    None => found,
-                };
-                if found.rank < rank {
-                    let error = confounded(&separated(problem, found));
-                    return Err(kept.map_or_else(|| error.clone(), |kept| left_out(problem, &kept, &error)));
-                }
-                (found, residuals)
+        let of_rows = || -> Result<_> {
+            let (weighted, root, residuals) = (Weighted::new(problem)?, root_of(&factor), problem.residuals(&x)?);
+            let mut remarks = Vec::new();
+            if self.explained && !is_recorded {
+                let recorded = recorded.clone().map_or_else(|| weighted.factor(&x, kept), Ok)?;
+                remarks.extend(told_by_nominal_places(problem, &root, &root_of(&recorded)));
             }
-            Some(RankDeficiency { found, determined }) => {
-                // Rows that weigh nothing may have told more.
-                if determined.factor(&factor).singular_values().rank(self.rank_tolerance) < rank {
-                    let error = confounded(&found);
-                    return Err(kept.map_or_else(|| error.clone(), |kept| left_out(problem, &kept, &error)));
+            let in_uncertainties = weighted.in_uncertainties(residuals.clone());
+            let constraints = Constraints::new(&judged, &x, &root)?;
+            let counted = (rank, &constraints);
+            let quantities = problem.quantities();
+            let statistics =
+                ResidualStatistics::new(&residuals, &quantities, &in_uncertainties, report.as_ref(), counted);
+            let scales = self.scales(&statistics, components);
+            let propagation = match &of_sets {
+                Some(rows) => Propagation::of_factors(problem, &root, (&rows.of_sets, &rows.extended), scales),
+                None => {
+                    let place = Linearisation { problem: &judged, x: &x, kept, root };
+                    Propagation::new(&place, scales, self.explained)?
                 }
-                let condition = factor.singular_values().condition(rank);
-                let weakest =
-                    if self.explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() };
-                let found = Identifiability { observations: factor.rows(), condition, weakest, ..found };
-                (found, problem.residuals(&x))
-            }
+            };
+            Ok((residuals, statistics, propagation, remarks))
         };
-        let (root, residuals) = (root_of(&factor), residuals?);
-        let mut remarks = Vec::new();
-        if self.explained && !is_recorded {
-            let recorded = recorded.map_or_else(|| weighted.factor(&x, kept.as_deref()), Ok)?;
-            remarks.extend(told_by_nominal_places(problem, &root, &root_of(&recorded)));
-        }
-        let in_uncertainties = weighted.in_uncertainties(residuals.clone());
-        let constraints = Constraints::new(&judged, &x, &root)?;
-        let quantities = problem.quantities();
-        let statistics =
-            ResidualStatistics::new(&residuals, &quantities, &in_uncertainties, report.as_ref(), (rank, &constraints));
-        let place = Linearisation { problem: &judged, x: &x, kept: kept.as_deref(), root };
-        let propagation = Propagation::new(&place, self.scales(&statistics, components), self.explained)?;
+        let (found, of_rows) = both(|| self.determined(problem, &factor, lost.as_ref(), kept), of_rows);
+        let found = found?;
+        let (residuals, statistics, propagation, remarks) = of_rows?;
         self.check_redundancy(&statistics, rank, &propagation)?;
         let outliers = match (&report, loss) {
             (Some(report), Some(loss)) => outliers(problem, &residuals, report, loss),
@@ -182,6 +166,37 @@ impl UncertaintyEvaluation {
         let mut calibration = calibration(problem, &x, propagation.covariance(problem), outliers, fit);
         calibration.uncertainty = self.explained.then(|| propagation.budget(problem, self.coverage_probability));
         Ok(calibration)
+    }
+
+    /// What the rows determine at the solution, those that are kept.
+    ///
+    /// Fails where they determine less than was estimated.
+    fn determined(
+        &self,
+        problem: &Problem,
+        factor: &Factor,
+        lost: Option<&RankDeficiency>,
+        kept: Option<&[f64]>,
+    ) -> Result<Identifiability> {
+        let refused = |error: Error| Err(kept.map_or_else(|| error.clone(), |kept| left_out(problem, kept, &error)));
+        let Some(RankDeficiency { found, determined }) = lost else {
+            let rank = problem.unknowns.len();
+            let mut found = self.identifiability(problem, factor);
+            if let Some(kept) = kept.filter(|kept| found.rank == rank && kept.contains(&0.0)) {
+                let judged = Judgement::new(problem, Some(kept))?;
+                let without = identifiability(problem, judged.factor(), self.rank_tolerance);
+                found = if without.rank < rank { without } else { found };
+            }
+            return if found.rank < rank { refused(confounded(&separated(problem, found))) } else { Ok(found) };
+        };
+        // Rows that weigh nothing may have told more.
+        let rank = determined.count();
+        if determined.factor(factor).singular_values().rank(self.rank_tolerance) < rank {
+            return refused(confounded(found));
+        }
+        let condition = factor.singular_values().condition(rank);
+        let weakest = if self.explained { weakest(problem, &factor.spectrum(), found.rank) } else { Vec::new() };
+        Ok(Identifiability { observations: factor.rows(), condition, weakest, ..found.clone() })
     }
 
     /// Makes the calibration from a solution of rows in parts, and from what they tell there. With `components`, the uncertainties of the
@@ -327,8 +342,11 @@ impl UncertaintyEvaluation {
         found.remarks.extend(ill_conditioned(problem, factor, self.rank_tolerance, ILL_CONDITIONED));
         if found.rank == found.unknowns {
             let (problem, root) = (judged.problem(), factor.covariance_root(found.rank));
-            let place = Linearisation { problem, x: &problem.start(), kept: None, root };
-            let propagation = Propagation::new(&place, AposterioriFactors::Common(1.0, f64::INFINITY), true)?;
+            let (start, scales) = (problem.start(), AposterioriFactors::Common(1.0, f64::INFINITY));
+            let propagation = match RowsOfSets::new(problem, &start, None)? {
+                Some(rows) => Propagation::of_factors(problem, &root, (&rows.of_sets, &rows.extended), scales),
+                None => Propagation::new(&Linearisation { problem, x: &start, kept: None, root }, scales, true)?,
+            };
             if found.observations <= found.rank && !self.trust_uncertainties && propagation.is_scaled() {
                 found.remarks.push(
                     "no degrees of freedom are left, so that the scatter of the residuals will say nothing: set \

@@ -55,6 +55,8 @@ pub struct Monitor {
     watcher: Option<Arc<Watcher>>,
     /// When the work has to end, and the time that it has in all.
     deadline: Option<(Instant, Duration)>,
+    /// Whether nobody wants this work any more.
+    unwanted: Option<Arc<AtomicBool>>,
     stage: Arc<str>,
     quiet: bool,
 }
@@ -102,6 +104,11 @@ impl Monitor {
         Self { quiet: true, ..self.clone() }
     }
 
+    /// The same for a part of the work that may turn out to be of no use: [`check`](Self::check) fails from when `unwanted` is true.
+    pub fn until(&self, unwanted: Arc<AtomicBool>) -> Self {
+        Self { unwanted: Some(unwanted), ..self.clone() }
+    }
+
     /// Cancels the work: [`check`](Self::check) then returns an error.
     pub fn cancel(&self) {
         if let Some(watcher) = &self.watcher {
@@ -109,10 +116,11 @@ impl Monitor {
         }
     }
 
-    /// Fails with [`Class::Interrupted`](crate::Class::Interrupted) if the work has been cancelled, and with
+    /// Fails with [`Class::Interrupted`](crate::Class::Interrupted) if the work has been cancelled or nobody wants it any more, and with
     /// [`Error::out_of_time`] if its time is over.
     pub fn check(&self) -> Result<()> {
-        if self.watcher.as_ref().is_some_and(|watcher| watcher.ended.load(Ordering::Relaxed)) {
+        let ended = self.watcher.as_ref().map(|watcher| &watcher.ended);
+        if ended.into_iter().chain(self.unwanted.as_deref()).any(|is_over| is_over.load(Ordering::Relaxed)) {
             return Err(Error::interrupted());
         }
         match self.deadline {
@@ -168,6 +176,11 @@ mod tests {
         monitor.cancel();
         let error = of_fit.without_events().check().unwrap_err();
         assert_eq!((error.class, error.fatal), (Class::Interrupted, true));
+        let unwanted = Arc::new(AtomicBool::new(false));
+        let part = Monitor::default().until(unwanted.clone()).of_stage("fit");
+        assert!(part.check().is_ok());
+        unwanted.store(true, Ordering::Relaxed);
+        assert_eq!(part.check().unwrap_err().class, Class::Interrupted);
         let late = Monitor::default().with_time_limit(Duration::ZERO).of_stage("fit");
         let error = late.check().unwrap_err();
         assert!(error.out_of_time && error.fatal && error.class == Class::Data);

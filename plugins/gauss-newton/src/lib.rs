@@ -12,9 +12,12 @@ mod settings;
 mod shared;
 mod trials;
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use abbe_core::{
     Calibration, Context, Error, Estimate, Identifiability, Owner, Parts, PathItem, Problem, Result, SettingsError,
-    Unknown, ValuesOf,
+    Unknown, ValuesOf, both,
 };
 use abbe_estimation::{
     EstimatorSolution, Judgement, RankDeficiency, RowsAtHand, UncertaintyEvaluation, VarianceComponents, Weighted,
@@ -92,6 +95,18 @@ struct Judged {
     remarks: Vec<String>,
 }
 
+/// What is known of the rows of a problem before it is solved.
+enum Known<'a> {
+    Nothing,
+    /// The factor of rows near the start values, and whether it is theirs.
+    Near(&'a Factor, bool),
+    /// Its solution from the start values, or why there is none.
+    Solution(Box<Result<Solution>>),
+}
+
+/// Equations times unknowns of a problem that takes so little time that more threads do not help its evaluation.
+const SMALL: usize = 200_000;
+
 /// The estimator.
 struct GaussNewton {
     settings: Settings,
@@ -146,11 +161,11 @@ impl GaussNewton {
         converged(solve_from(weighted, start, factor, options)?, options)
     }
 
-    /// Solves a problem; `known` is a factor of its rows near the start values, if there is one, and whether it is theirs.
+    /// Solves a problem.
     fn solve(
         &self,
         problem: &Problem,
-        known: Option<(&Factor, bool)>,
+        known: Known<'_>,
         lost: Option<RankDeficiency>,
         explained: bool,
     ) -> Result<Calibration> {
@@ -161,20 +176,21 @@ impl GaussNewton {
         };
         let scaled =
             components.as_ref().map(|found| problem.with_variance_factors(&found.factors).with_values(&found.x));
-        let (problem, known) = scaled.as_ref().map_or((problem, known), |scaled| (scaled, None));
+        let (problem, known) = match &scaled {
+            Some(scaled) => (scaled, Known::Nothing),
+            None => (problem, known),
+        };
         let weighted = self.weighted(problem)?;
         let options = self.options(self.settings.tolerance, false);
-        let solution = match determined {
-            Some(_) => self.iterate_within(&weighted, &problem.start(), determined, &options),
-            None => match known {
-                Some(known) if !weighted.is_correlated() => {
-                    converged(solve_by_gradients(&weighted, &problem.start(), known, &options)?, &options)
-                }
-                known => {
-                    let at_start = known.filter(|(_, at_start)| *at_start).map(|(factor, _)| factor.clone());
-                    self.iterate(&weighted, &problem.start(), at_start, &options)
-                }
-            },
+        let (weighted, start) = (&weighted, problem.start());
+        let solution = match (determined, known) {
+            (Some(_), _) => self.iterate_within(weighted, &start, determined, &options),
+            (None, Known::Near(factor, at_start)) if !weighted.is_correlated() => {
+                converged(solve_by_gradients(weighted, &start, (factor, at_start), &options)?, &options)
+            }
+            (None, Known::Near(factor, true)) => self.iterate(weighted, &start, Some(factor.clone()), &options),
+            (None, Known::Solution(solution)) => *solution,
+            (None, Known::Near(_, false) | Known::Nothing) => self.iterate(weighted, &start, None, &options),
         };
         let Solution { x, iterations, robust, last_step, gradient_cosine, factor, .. } = solution?;
         let solved = EstimatorSolution {
@@ -212,6 +228,36 @@ impl GaussNewton {
             return Err(error.help("leave out `robust`, or the covariance under `uncertainty` of the artefacts"));
         }
         Ok(weighted)
+    }
+
+    /// The judgement of a problem, the directions that are determined if not all are, and its solution if that is looked for meanwhile: a
+    /// small problem is solved while it is judged, where that needs other factors.
+    fn judge_and_solve(&self, problem: &Problem) -> Result<(Judged, Option<Directions>, Option<Result<Solution>>)> {
+        let is_small = problem.equations() * problem.unknowns.len() <= SMALL;
+        if !is_small || self.settings.variance != Variance::Common || is_judged_as_recorded(problem) {
+            let judged = self.judge(problem)?;
+            let determined = self.determined(judged.judgement.factor());
+            return Ok((judged, determined, None));
+        }
+        let unwanted = Arc::new(AtomicBool::new(false));
+        let watched = problem.watched_by(problem.monitor.until(unwanted.clone()));
+        let judge = || {
+            let judged = self.judge(problem).map(|judged| {
+                let determined = self.determined(judged.judgement.factor());
+                (judged, determined)
+            });
+            let is_wanted = matches!(&judged, Ok((Judged { started: None, .. }, None)));
+            unwanted.store(!is_wanted, Ordering::Relaxed);
+            judged
+        };
+        let solve = || {
+            let options = self.options(self.settings.tolerance, false);
+            self.iterate(&self.weighted(&watched)?, &watched.start(), None, &options)
+        };
+        let (judged, solution) = both(judge, solve);
+        let (judged, determined) = judged?;
+        let is_wanted = determined.is_none() && judged.started.is_none();
+        Ok((judged, determined, is_wanted.then_some(solution)))
     }
 
     /// The judgement of a problem, and the problem with better start values, if they make more unknowns have an effect.
@@ -300,14 +346,17 @@ impl GaussNewton {
         if let Some(rows) = self.eliminating(problem, &RowsAtHand(problem))? {
             return self.of_eliminated(&rows, explained);
         }
-        let Judged { started, judgement: judged, remarks } = self.judge(problem)?;
+        let (Judged { started, judgement: judged, remarks }, determined, solution) = self.judge_and_solve(problem)?;
         if explained {
             remarks.iter().for_each(|remark| tracing::warn!("{}: {remark}", problem.name));
         }
         let (problem, factor) = (started.as_ref().unwrap_or(problem), judged.factor());
-        let Some(determined) = self.determined(factor) else {
-            let at_start = started.is_none() && judged.factor_at_start().is_some();
-            let known = Some((factor, at_start)).filter(|_| is_judged_as_recorded(problem));
+        let Some(determined) = determined else {
+            let known = match solution {
+                Some(solution) => Known::Solution(Box::new(solution)),
+                None if !is_judged_as_recorded(problem) => Known::Nothing,
+                None => Known::Near(factor, started.is_none() && judged.factor_at_start().is_some()),
+            };
             return self
                 .solve(problem, known, None, explained)
                 .map_err(|error| ill(problem, factor, self.settings.rank_tolerance, error));
@@ -323,7 +372,7 @@ impl GaussNewton {
             OnConfounded::MinimumNorm => {
                 let solve = |problem: &Problem, explained: bool| {
                     let lost = RankDeficiency { found: found.clone(), determined: determined.clone() };
-                    self.solve(problem, None, Some(lost), explained).map_err(told)
+                    self.solve(problem, Known::Nothing, Some(lost), explained).map_err(told)
                 };
                 let mut calibration = solve(problem, explained)?;
                 self.mark_shared((problem, &judged), &found, &mut calibration, explained, |problem| {
@@ -340,7 +389,7 @@ impl GaussNewton {
                 }
                 let solve = |problem: &Problem, explained: bool| {
                     let reduced = problem.without_unknowns(|unknown| names.contains(&unknown.name.as_str()));
-                    self.solve(&reduced, None, None, explained).map_err(told)
+                    self.solve(&reduced, Known::Nothing, None, explained).map_err(told)
                 };
                 let mut calibration = solve(problem, explained)?;
                 calibration.fit.unknowns = found.unknowns;

@@ -455,7 +455,7 @@ impl Linearised {
 }
 
 /// Number of derivatives from which several threads save time.
-const WORTH_A_THREAD: usize = 50_000;
+const WORTH_A_THREAD: usize = 100_000;
 
 /// Cost of a pose without derivatives, as a number of derivatives.
 const POSE: usize = 25;
