@@ -1,6 +1,7 @@
 //! Data sets that are read in batches: the estimate of all rows, however large the batches are and however many threads read them, in
 //! memory that does not grow with the rows.
 
+mod absurd;
 mod again;
 mod factors;
 mod files;
@@ -13,7 +14,7 @@ use abbe_core::Calibration;
 use serde_json::{Value, json};
 
 use crate::fleet::shards::{agree, of_parts};
-use crate::support::{Printed, Random, Small, Variant, as_typed, json_file, read, temporary, tree, write};
+use crate::support::{Printed, Random, Small, Variant, as_typed, json_file, read, root, temporary, tree, write};
 
 /// Estimates of recipes of this repository whose rows are independent of each other: recipe, estimate, ingest stage.
 const ESTIMATES: [(&str, &str, &str); 7] = [
@@ -246,6 +247,19 @@ fn what_needs_all_rows_is_refused() {
         (
             more(tango(&[]), "next", json!({ "validate": "minimal-set", "of": "fit-S2" })),
             "asks about the rows that an estimate was made of",
+        ),
+        (
+            more(
+                tango(&[]),
+                "next",
+                json!({ "validate": "artefact-cmm", "of": "fit-S2", "features": "table",
+                    "cmm": root().join("pipelines/data/tango-hu40t/realistic/facets-cmm.csv") }),
+            ),
+            "`artefact-cmm` needs all rows of `fit-S2` at once",
+        ),
+        (
+            of_parts("tango-warming", "fit").set("touches", "batch_rows", json!(100)),
+            "`time_constant[1]_s` needs all rows at once (as long as what it shapes is zero",
         ),
         (
             more(

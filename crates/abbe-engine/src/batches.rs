@@ -11,7 +11,7 @@ use abbe_core::{
     AskedOfPart, Batches, Class, DataRecord, Dataset, Error, Fit, Identifiability, Kind, KinematicModel, Monitor,
     PartEvidence, Parts, Problem, QuestionToRows, Result, VarianceFactor, WeighedSums, free_threads,
 };
-use abbe_estimation::{joined_evidence, missed, part_evidence, with_factors_found};
+use abbe_estimation::{joined_evidence, missed, part_evidence, remarks_of_chosen_rows, with_factors_found};
 use abbe_recipe::Stage;
 
 use crate::in_order::in_order;
@@ -228,7 +228,10 @@ impl<'a> InBatches<'a> {
         let monitor = monitor.of_stage(&stage.name);
         let parts = AllBatches { batches: self, stage, known, monitor, factors: None };
         let found = self.prepared.estimators[&stage.name].identify_parts(&known.problem, &parts);
-        self.prepared.located(stage, found).map(Some)
+        let mut found = self.prepared.located(stage, found)?;
+        let chosen = self.prepared.located(stage, parts.sample())?;
+        found.remarks.extend(chosen.iter().flat_map(remarks_of_chosen_rows));
+        Ok(Some(found))
     }
 
     /// What all batches of a data set are, for all estimates that observe it.

@@ -292,7 +292,16 @@ impl Prepared {
                 }
                 for (setting, name) in self.validators[&stage.name].observations() {
                     for fit in stage.reference("of") {
-                        let observed = self.own_estimate(fit)?.reference("observations");
+                        let estimate = self.own_estimate(fit)?;
+                        let observed = estimate.reference("observations");
+                        if self.has_batches(estimate) && !self.validators[&stage.name].accepts_rows_in_parts() {
+                            let message = format!(
+                                "`{}` needs all rows of `{fit}` at once, and these are read in batches",
+                                stage.plugin
+                            );
+                            let help = "leave out `batch_rows` where they are read, or this stage";
+                            return Err(Error::usage(message).help(help).setting(setting));
+                        }
                         if !observed.contains(&name) {
                             return Err(Error::usage(format!("`{name}` is not among the observations of `{fit}`"))
                                 .setting(setting)

@@ -9,7 +9,7 @@ use abbe_core::{
     Class, DataRecord, Dataset, Error, EstimateSource, Event, Export, ExportedFile, Findings, Fit, Kind, Monitor,
     Problem, Result, Verdict, in_parallel,
 };
-use abbe_estimation::{copies, falling_times, remarks, with_factors_found};
+use abbe_estimation::{copies, falling_times, remarks, remarks_of_chosen_rows, with_factors_found};
 use abbe_recipe::Stage;
 
 use crate::batches::{InBatches, Sources};
@@ -86,7 +86,7 @@ impl Prepared {
             digests: &digests,
         };
         let mut fits = self.estimates(&known, monitor, &mut failures)?;
-        let implausible = self.implausible(&mut fits)?;
+        let implausible = self.implausible_by_chosen_rows(&mut fits, &batches, monitor)?;
         let from_rows = fits.iter().any(|fit| !fit.problem.sets.is_empty()) || self.has_readings(&fits);
         if let (false, Some(failure)) = (from_rows, failures.first()) {
             // Nothing was made of measurements: an earlier run keeps its results.
@@ -136,6 +136,25 @@ impl Prepared {
             started,
             duration: clock.elapsed(),
         })
+    }
+
+    /// The estimates from measurements with errors that are implausible ([`implausible`](Self::implausible)). Of rows that are read in
+    /// batches some are chosen at random: they tell how far axes travel.
+    fn implausible_by_chosen_rows(
+        &self,
+        fits: &mut [Fit],
+        batches: &InBatches<'_>,
+        monitor: &Monitor,
+    ) -> Result<Vec<Failure>> {
+        let whole: Vec<Arc<Problem>> = fits.iter().map(|fit| fit.problem.clone()).collect();
+        for fit in &mut *fits {
+            if let Some((problem, _)) = chosen_rows(fit, batches, monitor)? {
+                fit.problem = Arc::new(problem);
+            }
+        }
+        let failures = self.implausible(fits);
+        fits.iter_mut().zip(whole).for_each(|(fit, whole)| fit.problem = whole);
+        failures
     }
 
     /// All estimates, each as soon as those are there that it needs. One that fails costs those alone that need it.
@@ -426,17 +445,27 @@ fn with_rows_to_show(
 ) -> Result<(Vec<Fit>, Vec<Remark>)> {
     let mut all = Vec::new();
     for fit in &mut fits {
-        match batches.sampled(fit, monitor) {
-            Ok(None) => {}
-            Ok(Some((problem, remarks))) => {
-                fit.problem = Arc::new(problem);
-                all.extend(remarks);
-            }
-            Err(error) if error.class == Class::Interrupted => return Err(error),
-            Err(error) => tracing::warn!("{}: there is no table of residuals: {error}", fit.name),
+        if let Some((problem, remarks)) = chosen_rows(fit, batches, monitor)? {
+            let told = remarks_of_chosen_rows(&problem);
+            told.iter().for_each(|remark| tracing::warn!("{}: {remark}", fit.name));
+            all.extend(told.into_iter().map(|text| Remark { estimate: fit.name.clone(), text }));
+            all.extend(remarks);
+            fit.problem = Arc::new(problem);
         }
     }
     Ok((fits, all))
+}
+
+/// Rows of an estimate in batches that are chosen at random, and what to say of them; none where they cannot be read any more.
+fn chosen_rows(fit: &Fit, batches: &InBatches<'_>, monitor: &Monitor) -> Result<Option<(Problem, Vec<Remark>)>> {
+    match batches.sampled(fit, monitor) {
+        Err(error) if error.class == Class::Interrupted => Err(error),
+        Err(error) => {
+            tracing::warn!("{}: there is no table of residuals: {error}", fit.name);
+            Ok(None)
+        }
+        chosen => chosen,
+    }
 }
 
 /// The digests of input files.

@@ -115,7 +115,7 @@ pub use preference::{check_preferences, in_order_of_preference};
 pub use propagation::{AposterioriFactors, Linearisation, Propagation};
 pub use quiet_channels::quiet_channels;
 pub use rank::{confounded, identifiability, ill_conditioned, separated, weakest};
-pub use remarks::{comparisons, missed, remarks};
+pub use remarks::{comparisons, missed, remarks, remarks_of_chosen_rows};
 pub use repeated_rows::{pasted_rows, repeated_in_words};
 pub use residual_rows::{RowResidual, residual_rows};
 pub use residuals::{Constraints, ResidualStatistics, Sizes, outliers, radial_rms};

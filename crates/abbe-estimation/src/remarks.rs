@@ -49,6 +49,17 @@ pub fn remarks(problem: &Problem) -> Vec<String> {
     remarks
 }
 
+/// Those of [`remarks`] that tell of each row by itself: rows that are chosen at random tell them of all.
+pub fn remarks_of_chosen_rows(problem: &Problem) -> Vec<String> {
+    let mut remarks: Vec<String> = forgotten(problem).into_iter().collect();
+    remarks.extend(styli(problem));
+    remarks.extend(missed(problem));
+    remarks.extend(wrong_places(problem));
+    remarks.extend(tilted_probe(problem));
+    remarks.extend(turned(problem));
+    remarks
+}
+
 /// Sentences on readings whose signs, and on columns whose places, the rest of the rows contradicts: other fits of the same rows tell.
 /// They come after the fit itself, so that a machine that fails at other values fails there. With its values of the unknowns, the
 /// `estimate`, those that residuals give no reason for are not made.

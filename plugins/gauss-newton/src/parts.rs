@@ -1,11 +1,13 @@
 //! The estimate from rows in parts, none of which has all.
 
-use abbe_core::{Calibration, Error, Identifiability, Parts, Problem, Result, Unknown};
+use abbe_core::{Calibration, Error, Identifiability, Owner, ParameterRole, Parts, Problem, Result, Unknown};
 use abbe_estimation::{
     ChangedParts, EstimatorSolution, Judgement, RowsAtHand, RowsInParts, SolutionOfParts, VarianceComponents,
     components_of_parts, confounded, identifiability, with_factors_found,
 };
-use abbe_numerics::{End, HuberPoint, LeastSquares, Options, Solution, huber_point, solve_from, solve_in_passes};
+use abbe_numerics::{
+    End, Factor, HuberPoint, LeastSquares, Options, Solution, huber_point, solve_from, solve_in_passes,
+};
 
 use crate::GaussNewton;
 use crate::convergence::converged;
@@ -45,6 +47,24 @@ fn refused(setting: &str, why: &str) -> Result<()> {
 const AT_ONCE: &str =
     "leave it out, or estimate all rows at once: `abbe run`, without `batch_rows` where they are read";
 
+/// An unknown that shapes a function whose size is zero at the start: rows at once are estimated without it first.
+fn idle_shape<'a>(problem: &'a Problem, nominal: &Factor) -> Option<&'a Unknown> {
+    let parameters = &problem.model.info().parameters;
+    let shapes =
+        |unknown: &Unknown| unknown.owner == Owner::Machine && parameters[unknown.index].role == ParameterRole::Shape;
+    let idle = problem.unknowns.iter().zip(nominal.norms()).filter(|(unknown, norm)| **norm == 0.0 && shapes(unknown));
+    idle.map(|(unknown, _)| unknown).next()
+}
+
+fn needs_start(shape: &Unknown) -> Error {
+    let message = format!(
+        "`{}` needs all rows at once (as long as what it shapes is zero it has no effect, so that the rest comes first), and these rows are in \
+         parts",
+        shape.name
+    );
+    Error::usage(message).help(AT_ONCE).setting("parameters")
+}
+
 impl GaussNewton {
     /// The estimate from parts, of the significant unknowns where they are selected.
     pub(crate) fn of_parts(&self, problem: &Problem, parts: &dyn Parts, explained: bool) -> Result<Calibration> {
@@ -80,6 +100,9 @@ impl GaussNewton {
         if !sample.as_ref().is_some_and(|sample| sample.determines_all) {
             let nominal = rows.at_nominal_geometry()?;
             if self.determined(&nominal).is_some() {
+                if let Some(shape) = idle_shape(problem, &nominal) {
+                    return Err(needs_start(shape));
+                }
                 return Err(confounded(&identifiability(problem, &nominal, self.settings.rank_tolerance)));
             }
         }
@@ -255,7 +278,11 @@ impl GaussNewton {
         if let Some(rows) = self.eliminating(problem, parts)? {
             return self.evaluation(true).identify_eliminated(&rows);
         }
-        self.evaluation(true).identify_parts(&RowsInParts::new(problem, parts))
+        let rows = RowsInParts::new(problem, parts);
+        if let Some(shape) = idle_shape(problem, &rows.at_nominal_geometry()?) {
+            return Err(needs_start(shape));
+        }
+        self.evaluation(true).identify_parts(&rows)
     }
 
     /// Refuses settings that need all residuals at once.
