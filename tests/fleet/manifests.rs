@@ -54,6 +54,40 @@ fn a_history_in_the_place_of_a_table_is_refused() {
     }
 }
 
+/// What a job is called and when it was stands in the manifest alone, and a history keeps it for good.
+#[test]
+fn what_was_changed_since_it_was_planned_is_not_merged() {
+    let folder = temporary();
+    let at = folder.path();
+    Plant::of(3).write(at);
+    ok(&quiet(at, &["fleet", "plan", "fleet.yaml"]));
+    ok(&quiet(at, &["fleet", "run", "fleet.manifest.jsonl"]));
+    let manifest = at.join("fleet.manifest.jsonl");
+    let own = read(&manifest);
+    let changes: [&dyn Fn(&str) -> String; 4] = [
+        &|text| text.replacen("\"at\":1.0", "\"at\":7.0", 1),
+        &|text| text.replacen("\"machine\":\"m00000\"", "\"machine\":\"m00001\"", 1),
+        &|text| text.replacen("\"fleet\":\"A plant\"", "\"fleet\":\"B plant\"", 1),
+        &|text| text.replacen("\"history\":\"plant.sqlite\"", "\"history\":\"plant2.sqlite\"", 1),
+    ];
+    for (number, change) in changes.iter().enumerate() {
+        let changed = change(&own);
+        assert_ne!(changed, own, "{number}");
+        write(&manifest, &changed);
+        for command in [&["fleet", "status", "fleet.manifest.jsonl"][..], &["fleet", "merge", "fleet.manifest.jsonl"]] {
+            let printed = quiet(at, command);
+            assert_eq!(printed.status, 1, "{number}: {}{}", printed.stdout, printed.stderr);
+            for word in ["it was changed since it was planned", "plan the fleet again", "fleet.manifest.jsonl"] {
+                assert!(printed.stderr.contains(word), "{number}, {word}: {}", printed.stderr);
+            }
+            assert!(!at.join("fleet.merged").exists() && !at.join("plant.sqlite").exists(), "{number}");
+        }
+    }
+    write(&manifest, &own);
+    ok(&quiet(at, &["fleet", "status", "fleet.manifest.jsonl"]));
+    ok(&quiet(at, &["fleet", "merge", "fleet.manifest.jsonl"]));
+}
+
 /// A plan takes the place of an earlier one of the same fleet, as it was planned, and of nothing else.
 #[test]
 fn a_plan_replaces_its_own_manifest_alone() {

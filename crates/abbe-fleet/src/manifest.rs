@@ -263,6 +263,20 @@ impl Manifest {
         Ok(Self { path, head })
     }
 
+    /// Fails if somebody changed it since it was planned: what a history or a table gets to know of its jobs would be wrong.
+    ///
+    /// # Errors
+    /// With what to do.
+    pub fn unchanged(&self) -> Result<()> {
+        // A round of shards may have put another one in its place meanwhile.
+        let now = Self::read(&self.path)?;
+        if seal::is_unchanged(&now.path, &now.head)? {
+            return Ok(());
+        }
+        let help = "move it away, and plan the fleet again: `abbe fleet plan`; what is done counts there, too";
+        Err(Error::data("it was changed since it was planned").help(help).in_file(&self.path))
+    }
+
     /// The folder in which all paths of the fleet start.
     pub fn base(&self) -> PathBuf {
         self.path.parent().unwrap_or(Path::new("/")).join(&self.head.base)

@@ -51,7 +51,7 @@ pub struct Merged {
 /// Jobs that failed are told, and cost no others; jobs that nobody has done yet are an error unless `partial`.
 ///
 /// # Errors
-/// For open jobs, for results and tables of another fleet, for names of temporary folders, if the disk or the history does not take what is written,
+/// For open jobs, for a manifest that was changed since it was planned, for results and tables of another fleet, for names of temporary folders, if the disk or the history does not take what is written,
 /// while another merge of this manifest is at work, after a minute, and if `monitor` is cancelled before all jobs are read.
 pub fn merge(
     manifest: &Manifest,
@@ -64,6 +64,7 @@ pub fn merge(
     if !partial {
         none_open(manifest)?;
     }
+    manifest.unchanged()?;
     refuse_temporary_place(out)?;
     refuse_history_within(out, manifest.head.history.as_deref())?;
     let _alone = alone(manifest, monitor)?;

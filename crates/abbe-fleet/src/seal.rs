@@ -90,7 +90,7 @@ pub fn may_take(path: &Path, head: &Head) -> Result<()> {
         return refused(format!("{message} {}, not in {}", shown(&whose.base), shown(&head.base)));
     }
     match whose.sha256 {
-        Some(sha256) if sealed(path, &sha256)? != sha256 => {
+        Some(sha256) if sealed(path, &sha256, usize::MAX)? != sha256 => {
             refused("the manifest that is there was changed since it was planned".to_owned())
         }
         _ => Ok(()),
@@ -104,8 +104,20 @@ fn whose(path: &Path) -> Option<Whose> {
     serde_json::from_slice(&line).ok()
 }
 
-/// The hash of a file, with zeros in the place of the one that its first line has.
-fn sealed(path: &Path, sha256: &str) -> Result<String> {
+/// Whether the first line of a manifest and those of its jobs are as they were planned, by the hash that the first line has. What is behind
+/// them is not looked at.
+///
+/// # Errors
+/// If the file cannot be read.
+pub fn is_unchanged(path: &Path, head: &Head) -> Result<bool> {
+    match &head.sha256 {
+        Some(sha256) => Ok(sealed(path, sha256, head.jobs)? == *sha256),
+        None => Ok(true),
+    }
+}
+
+/// The hash of the first line of a file, with zeros in the place of the hash that it has, and of so many lines behind it.
+fn sealed(path: &Path, sha256: &str, lines: usize) -> Result<String> {
     let failed = |error: &io::Error| unreadable(path, error);
     let mut reader = BufReader::new(abbe_files::open(path).map_err(|error| failed(&error))?);
     let (mut line, mut digest) = (Vec::new(), Sha256::new());
@@ -115,15 +127,20 @@ fn sealed(path: &Path, sha256: &str) -> Result<String> {
         line[start..start + 64].fill(b'0');
     }
     digest.update(&line);
-    loop {
+    let mut left = lines;
+    while left > 0 {
         let rest = reader.fill_buf().map_err(|error| failed(&error))?;
-        let count = rest.len();
-        if count == 0 {
-            return Ok(hexadecimal(digest.finalize().as_slice()));
+        if rest.is_empty() {
+            break;
         }
-        digest.update(rest);
+        let mut ends = rest.iter().enumerate().filter(|(_, byte)| **byte == b'\n').map(|(place, _)| place + 1);
+        let end = ends.nth(left - 1);
+        left -= end.map_or_else(|| rest.iter().filter(|byte| **byte == b'\n').count(), |_| left);
+        let count = end.unwrap_or(rest.len());
+        digest.update(&rest[..count]);
         reader.consume(count);
     }
+    Ok(hexadecimal(digest.finalize().as_slice()))
 }
 
 /// The folder in which paths start, as people know it.

@@ -18,7 +18,7 @@ pub struct Status {
 /// Looks at the results of all jobs.
 ///
 /// # Errors
-/// If the manifest cannot be read.
+/// If the manifest cannot be read, or was changed since it was planned.
 pub fn status(manifest: &Manifest) -> Result<Status> {
     let store = manifest.store();
     let mut status = Status::default();
@@ -32,5 +32,6 @@ pub fn status(manifest: &Manifest) -> Result<Status> {
         }
         Ok(())
     })?;
+    manifest.unchanged()?;
     Ok(status)
 }
