@@ -352,7 +352,12 @@ fn of_stage(stage: &Understood) -> Result<String> {
     if let Some(repeated) = abbe_engine::repeated_in_words(data, data.row_indices()) {
         text.push_str(&lines::wrapped(&format!("  {repeated}"), width));
     }
-    // Settings of `ingest: csv`; other plugins read the usual layout.
+    // What other plugins read has no layout of a table.
+    if stage.plugin != "csv" {
+        let files = stage.files.iter().map(|file| format!("\n  {}\n", file.display()));
+        text.extend(files);
+        return Ok(text);
+    }
     let layout = from_settings::<Declared>(&stage.settings).and_then(Declared::layout).unwrap_or_default();
     for file in &stage.files {
         let told = contents(file, &layout)?;

@@ -41,17 +41,17 @@ pub(crate) fn read(path: &Path, text: &str, units: Option<Units>) -> Result<(Dat
     let mut actual: BTreeMap<String, usize> = BTreeMap::new();
     let mut found: Vec<(String, Feature)> = Vec::new();
     let mut others = 0;
-    for (line, statement) in statements(path, text)? {
+    for Statement { line, text: statement, has_gap } in statements(path, text)? {
         let wrong = |message: String| Error::data(message).at(path, line, Some(1));
         if let Some(rest) = statement.strip_prefix("UNITS/") {
             scale = Some(stated(rest, units).map_err(wrong)?);
         }
-        let Some((name, definition)) = named(&statement) else { continue };
+        let Some((name, definition)) = named(&statement).map_err(wrong)? else { continue };
         let is_actual = statement.starts_with("FA(");
-        if !definition.starts_with("FEAT/") {
-            continue;
+        if has_gap {
+            return Err(wrong(format!("there is a blank within a number of `{}`", shown(&statement))));
         }
-        let Some((kind, cells, has_diameter)) = cells(definition).map_err(wrong)? else {
+        let Some((kind, cells)) = cells(definition).map_err(wrong)? else {
             others += usize::from(is_actual);
             continue;
         };
@@ -63,16 +63,24 @@ pub(crate) fn read(path: &Path, text: &str, units: Option<Units>) -> Result<(Dat
                     .ok_or_else(|| wrong(format!("`{}` is no number in `{}`", shown(cell), shown(&statement))))?,
             );
         }
-        let needed = if has_diameter { 4 } else { 3 };
-        if numbers.len() < needed {
+        if !kind.numbers.contains(&numbers.len()) {
+            let expected: Vec<String> = kind.numbers.iter().map(usize::to_string).collect();
             return Err(wrong(format!(
-                "`{}` has {} numbers; {needed} were expected",
+                "`{}` has {} numbers; {} were expected",
                 shown(&statement),
-                numbers.len()
+                numbers.len(),
+                expected.join(" or ")
             )));
         }
-        let diameter = if has_diameter { numbers.last().copied().unwrap_or(0.0) * scale } else { 0.0 };
-        let feature = Feature { line, kind, at: [0, 1, 2].map(|k| numbers[k] * scale), diameter };
+        let diameter = kind.diameter.map(|place| numbers[place.min(numbers.len() - 1)]);
+        if let Some(diameter) = diameter.filter(|diameter| *diameter <= 0.0) {
+            return Err(wrong(format!(
+                "`{}` has a diameter of {diameter}; one above 0 was expected",
+                shown(&statement)
+            )));
+        }
+        let at = [0, 1, 2].map(|k| numbers[k] * scale);
+        let feature = Feature { line, kind: kind.name, at, diameter: diameter.unwrap_or(0.0) * scale };
         match is_actual {
             false => {
                 nominal.insert(name.to_owned(), feature);
@@ -113,17 +121,35 @@ fn table(
         }
         rows.push(feature.line, &[name, name, feature.kind], &numbers);
     }
-    let remark = format!("{others} measured features are no point, sphere, circle or cylinder, and are left out");
-    Ok((
-        rows.finish("measured point, sphere, circle or cylinder (FA)")?,
-        if others > 0 { vec![remark] } else { Vec::new() },
-    ))
+    let mut remarks = Vec::new();
+    if others > 0 {
+        remarks.push(format!("{others} measured features are no point, sphere, circle or cylinder, and are left out"));
+    }
+    let missing: Vec<&str> =
+        nominal.keys().filter(|name| !found.iter().any(|(own, _)| own == *name)).map(String::as_str).collect();
+    if let (false, [first, ..]) = (found.is_empty(), missing.as_slice()) {
+        remarks.push(format!(
+            "{} of {} nominal features were not measured, the first is F({first})",
+            missing.len(),
+            nominal.len()
+        ));
+    }
+    Ok((rows.finish("measured point, sphere, circle or cylinder (FA)")?, remarks))
 }
 
-/// Statements with the line in which each begins: a `$` at the end goes on in the next line, `$$` begins a comment. Quoted texts
-/// stay as they are, all else is in capitals and without blanks.
-fn statements(path: &Path, text: &str) -> Result<Vec<(usize, String)>> {
-    let mut statements: Vec<(usize, String)> = Vec::new();
+/// A statement.
+struct Statement {
+    /// The line in which it begins.
+    line: usize,
+    /// Quoted texts as they are, all else in capitals and without blanks.
+    text: String,
+    /// Whether a blank that was left out stood between digits.
+    has_gap: bool,
+}
+
+/// All statements: a `$` at the end goes on in the next line, `$$` begins a comment.
+fn statements(path: &Path, text: &str) -> Result<Vec<Statement>> {
+    let mut statements: Vec<Statement> = Vec::new();
     let mut goes_on = false;
     let mut last = 0;
     for (index, line) in text.lines().enumerate() {
@@ -132,17 +158,26 @@ fn statements(path: &Path, text: &str) -> Result<Vec<(usize, String)>> {
             continue;
         }
         let (content, more) = content.strip_suffix('$').map_or((content, false), |content| (content, true));
-        let mut is_quoted = false;
+        let (mut is_quoted, mut is_gap, mut has_gap) = (false, false, false);
         let mut compact = String::new();
+        let is_of_number = |letter: char| letter.is_ascii_digit() || letter == '.';
         for letter in content.chars() {
             is_quoted ^= letter == '\'';
-            if is_quoted || !letter.is_whitespace() {
-                compact.push(if is_quoted { letter } else { letter.to_ascii_uppercase() });
+            if !is_quoted && letter.is_whitespace() {
+                is_gap = true;
+                continue;
             }
+            let goes_on = is_of_number(letter) || "+-".contains(letter);
+            has_gap |= is_gap && goes_on && compact.chars().next_back().is_some_and(is_of_number);
+            is_gap = false;
+            compact.push(if is_quoted { letter } else { letter.to_ascii_uppercase() });
         }
         match statements.last_mut().filter(|_| goes_on) {
-            Some((_, statement)) => statement.push_str(&compact),
-            None => statements.push((index + 1, compact)),
+            Some(statement) => {
+                statement.text.push_str(&compact);
+                statement.has_gap |= has_gap;
+            }
+            None => statements.push(Statement { line: index + 1, text: compact, has_gap }),
         }
         (goes_on, last) = (more, index + 1);
     }
@@ -154,23 +189,35 @@ fn statements(path: &Path, text: &str) -> Result<Vec<(usize, String)>> {
     }
 }
 
-/// Name and definition of `F(name)=..` or `FA(name)=..`.
-fn named(statement: &str) -> Option<(&str, &str)> {
-    let rest = statement.strip_prefix("FA(").or_else(|| statement.strip_prefix("F("))?;
-    rest.split_once(")=")
+/// Name and definition of `F(name)=FEAT/..` or `FA(name)=FEAT/..`; none for other statements.
+///
+/// Fails for one that is damaged: it begins as one, or has a definition.
+fn named(statement: &str) -> Result<Option<(&str, &str)>, String> {
+    let rest = statement.strip_prefix("FA(").or_else(|| statement.strip_prefix("F("));
+    let found = rest.and_then(|rest| rest.split_once(")=FEAT/")).filter(|(name, _)| !name.is_empty());
+    // What is quoted is a text.
+    let defines = || statement.split('\'').step_by(2).any(|part| part.contains("FEAT/"));
+    match found {
+        None if rest.is_some() || defines() => {
+            Err(format!("`{}` is no feature; F(NAME)=FEAT/.. or FA(NAME)=FEAT/.. was expected", shown(statement)))
+        }
+        found => Ok(found),
+    }
 }
+
+/// Units of lengths, in mm.
+const LENGTHS: [(&str, f64); 5] = [("MM", 1.0), ("CM", 10.0), ("M", 1000.0), ("INCH", 25.4), ("FEET", 304.8)];
 
 /// The unit of lengths of a statement `UNITS/`.
 fn stated(rest: &str, units: Option<Units>) -> Result<f64, String> {
-    let written = rest.split(',').next().unwrap_or_default();
-    let stated = match written {
-        "MM" => 1.0,
-        "CM" => 10.0,
-        "M" => 1000.0,
-        "INCH" => 25.4,
-        "FEET" => 304.8,
-        _ => return Err(format!("UNITS is `{}`; MM, CM, M, INCH or FEET was expected", shown(written))),
-    };
+    let length = |word: &str| LENGTHS.iter().find(|(name, _)| *name == word).map(|(_, scale)| *scale);
+    let mut words = rest.split(',');
+    let written = words.next().unwrap_or_default();
+    let stated = length(written)
+        .ok_or_else(|| format!("UNITS is `{}`; MM, CM, M, INCH or FEET was expected", shown(written)))?;
+    if let Some(second) = words.find(|word| length(word).is_some()) {
+        return Err(format!("UNITS has two units of lengths, {written} and {second}"));
+    }
     match units {
         Some(units) if units.scale() != stated => {
             Err(format!("UNITS is {written}, and `units` of the recipe says {}", units.name()))
@@ -179,19 +226,27 @@ fn stated(rest: &str, units: Option<Units>) -> Result<f64, String> {
     }
 }
 
-/// Kind, numbers as written, and whether the last is a diameter.
-type Cells<'a> = (&'static str, Vec<&'a str>, bool);
+/// A kind of features.
+struct FeatureKind {
+    word: &'static str,
+    name: &'static str,
+    /// How many numbers its definition may have: the place, and mostly a direction; a cylinder may have a length at the end.
+    numbers: &'static [usize],
+    /// Where its diameter stands if all are there; else it is the last one.
+    diameter: Option<usize>,
+}
 
-/// What a definition says; none for kinds that have no centre.
-fn cells(definition: &str) -> Result<Option<Cells<'_>>, String> {
-    let mut words: Vec<&str> = definition["FEAT/".len()..].split(',').collect();
-    let (kind, has_diameter) = match words[0] {
-        "POINT" => ("point", false),
-        "SPHERE" => ("sphere", true),
-        "CIRCLE" => ("circle", true),
-        "CYLNDR" => ("cylinder", true),
-        _ => return Ok(None),
-    };
+const KINDS: [FeatureKind; 4] = [
+    FeatureKind { word: "POINT", name: "point", numbers: &[3, 6], diameter: None },
+    FeatureKind { word: "SPHERE", name: "sphere", numbers: &[4, 7], diameter: Some(3) },
+    FeatureKind { word: "CIRCLE", name: "circle", numbers: &[4, 7], diameter: Some(6) },
+    FeatureKind { word: "CYLNDR", name: "cylinder", numbers: &[4, 7, 8], diameter: Some(6) },
+];
+
+/// What a definition says: the kind, and its numbers as written; none for kinds that have no centre.
+fn cells(definition: &str) -> Result<Option<(&'static FeatureKind, Vec<&str>)>, String> {
+    let mut words: Vec<&str> = definition.split(',').collect();
+    let Some(kind) = KINDS.iter().find(|kind| kind.word == words[0]) else { return Ok(None) };
     words.remove(0);
     if words.first().is_some_and(|word| ["INNER", "OUTER"].contains(word)) {
         words.remove(0);
@@ -199,7 +254,7 @@ fn cells(definition: &str) -> Result<Option<Cells<'_>>, String> {
     match words.first().copied() {
         Some("CART") => {
             words.remove(0);
-            Ok(Some((kind, words, has_diameter)))
+            Ok(Some((kind, words)))
         }
         other => {
             Err(format!("`{}` instead of CART: only Cartesian coordinates are read", shown(other.unwrap_or_default())))

@@ -29,20 +29,8 @@ fn build(settings: Settings, context: &Context) -> Result<Box<dyn Ingest>, Setti
     stage(settings, context, read)
 }
 
-/// What begins a line that is no point.
-const HEADINGS: [&str; 11] = [
-    "START",
-    "END",
-    "RESULTSFILE",
-    "DOCUMENTID",
-    "MODELVERSION",
-    "TIMESTAMP",
-    "TOOLPATHID",
-    "TOOLPATH",
-    "G331",
-    "G330",
-    "G802",
-];
+/// What begins a line that says nothing of points.
+const HEADINGS: [&str; 7] = ["RESULTSFILE", "DOCUMENTID", "MODELVERSION", "TIMESTAMP", "G331", "G330", "G802"];
 
 /// Deviation beyond which a point is taken for one that was written wrongly, mm.
 const FAR: f64 = 5.0;
@@ -113,7 +101,7 @@ impl Points<'_> {
     fn line(&mut self, line: usize, content: &str) -> Result<()> {
         let first = content.split_whitespace().next().unwrap_or_default();
         match first {
-            "" => Ok(()),
+            "" | "END" => Ok(()),
             "START" => {
                 self.close();
                 self.set += 1;
@@ -122,6 +110,10 @@ impl Points<'_> {
             }
             "TOOLPATHID" | "TOOLPATH" => {
                 let name = content[first.len()..].trim();
+                if let Some(point) = name.split_whitespace().find(|word| word.contains("G80")) {
+                    let error = self.wrong(line, format!("{point} stands in the line of a {first}"));
+                    return Err(error.help("each point has a line of its own: was a line end lost?"));
+                }
                 // One toolpath may be named by both lines, in either order.
                 if first == "TOOLPATHID" || self.toolpath.is_empty() {
                     self.close();

@@ -70,6 +70,10 @@ fn inspection_results_are_read_as_posts_write_them() {
 fn inspection_results_that_went_wrong_are_refused() {
     for (from, to, expected) in [
         ("START\nRESULTS", "HELLO\nRESULTS", "file.txt:2: `HELLO` is no line of inspection results"),
+        ("START\nRESULTS", "STARTX\nRESULTS", "file.txt:2: `STARTX` is no line of inspection results"),
+        ("TOOLPATHID", "TOOLPATHIDX", "is no line of inspection results"),
+        ("TOOLPATHID", "TOOLPATHID G800 N9 X1", "G800 stands in the line of a TOOLPATHID"),
+        ("TOOLPATHID", "TOOLPATHID 2G800 N1", "2G800 stands in the line of a TOOLPATHID"),
         ("G801 N1 X10.0004", "G801 N7 X10.0004", "file.txt:12: point 7 is measured, and has no G800 before"),
         ("G801 N1 X10.0004 Y-.5002 Z3.4212", "G801 N1 X100004 Y-.5002 Z3.4212", "is a decimal point missing"),
         ("Z3.4212 R3.", "Z3.4212", "a G801 has the radius R of the tip"),
@@ -140,13 +144,34 @@ fn dmis_output_is_read_with_its_nominal_features() {
         ("FA(S1)=FEAT/SPHERE", "FA(H1)=FEAT/SPHERE", "file.txt:10:1: FA(H1) stands in line 7 already"),
         ("FA(S1)=FEAT/SPHERE", "FA(H2)=FEAT/POINT,POL", ""),
         ("FA(S1)=FEAT/SPHERE,OUTER,CART", "FA(S1)=FEAT/SPHERE,OUTER,POL", "only Cartesian coordinates are read"),
-        ("CART,100.002,50.001,9.999,25.4003", "CART,100.002,50.001,9.999", "has 3 numbers; 4 were expected"),
+        ("CART,100.002,50.001,9.999,25.4003", "CART,100.002,50.001,9.999", "has 3 numbers; 4 or 7 were expected"),
         ("FA(S1)=FEAT/SPHERE,OUTER,", "FA(S1)=FEAT/CIRCLE,INNER,", "FA(S1) is a circle, and F(S1) is a sphere"),
         ("TA(T1)=TOL/FLAT,0.023,INTOL", "TA(T1)=TOL/FLAT,$", "the file ends in a statement that goes on"),
+        ("FA(S1)=", "FA(S1=", "file.txt:10:1: `FA(S1=FEAT/SPHERE,"),
+        ("FA(S1)=", "FAS1)=", "is no feature; F(NAME)=FEAT/.. or FA(NAME)=FEAT/.. was expected"),
+        ("FA(S1)=FEAT", "FA(S1) FEAT", "is no feature"),
+        ("FA(S1)=FEAT", "FA(S1)=FEATX", "is no feature"),
+        ("FA(S1)=FEAT", "FA()=FEAT", "is no feature"),
+        ("FA(S1)=FEAT", "X(S1)=FEAT", "is no feature"),
+        ("50.0012,49", "50,0012,49", "has 8 numbers; 4 or 7 were expected"),
+        ("25.4003", "25.4003,7,8", "has 6 numbers; 4 or 7 were expected"),
+        ("25.4003", "-25.4003", "a diameter of -25.4003; one above 0 was expected"),
+        ("20.0031", "0", "a diameter of 0; one above 0 was expected"),
+        ("100.002,", "1 00.002,", "file.txt:10:1: there is a blank within a number"),
+        ("100.002,", "100 .002,", "there is a blank within a number"),
+        ("100.002,50.001", "100.002 -50.001", "there is a blank within a number"),
+        ("UNITS/MM", "UNITS/MM,INCH", "UNITS has two units of lengths, MM and INCH"),
     ] {
+        assert!(DMIS.contains(from), "{from}");
         let told = read(dmis::read, &DMIS.replacen(from, to, 1), None).expect_err(from);
         assert!(told.contains(expected), "{from} -> {to}: {told}");
     }
+    let (_, remarks) = read(dmis::read, &DMIS.replace("FA(S1)", "FA(S2)"), None).expect("data");
+    assert_eq!(remarks[1..], ["1 of 2 nominal features were not measured, the first is F(S1)"]);
+    // A text may say anything, and a cylinder its length behind its diameter.
+    let cylinder = "TEXT/OUTFIL,'FA(H1 = FEAT/ 1 2'\nFA(C1)=FEAT/CYLNDR,OUTER,CART, 1, -2, 3, 0, 0, 1, 8, 30\n";
+    let (cylinder, _) = read(dmis::read, &format!("{DMIS}{cylinder}"), None).expect("data");
+    assert_eq!(numbers(&cylinder, &["X", "Y", "Z", "diameter"], 2), [1.0, -2.0, 3.0, 8.0]);
     assert!(
         read(dmis::read, DMIS, Some(Units::Inches))
             .expect_err("another unit")
