@@ -849,3 +849,25 @@ fn no_trials_are_made_of_an_absurd_estimate() {
         "{told:?}"
     );
 }
+
+/// The row of a file to blame is unknown where rows are means of several files: the message says so.
+#[test]
+fn a_mean_beyond_the_travel_says_that_it_is_one() {
+    let folder = temporary();
+    let recipe = Variant::of(&recipes()["mfb-ucp710"]).only(&["fit-bar", "fit-sphere-drift"]);
+    let data = recipe.path("centres", "path").parent().expect("a folder").to_owned();
+    for number in 1..=10 {
+        let name = format!("sphere-{number}.csv");
+        let text = read(&data.join(&name));
+        let wrong = if number == 6 { text.replacen(",304.0137,", ",3040.137,", 1) } else { text.clone() };
+        assert_eq!(wrong == text, number != 6, "{name}");
+        crate::support::write(&folder.path().join(name), &wrong);
+    }
+    recipe.set("centres", "path", json!("sphere-*.csv")).write(folder.path());
+    let printed = abbe(folder.path(), &["run", "recipe.yaml", "--out", "out"]);
+    let told = printed.stderr.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ");
+    assert_eq!(printed.status, 1, "{told}");
+    for words in ["beyond its travel of 0 mm to 500 mm in the mean of several rows", "sphere-1.csv:34"] {
+        assert!(told.contains(words), "{words}: {told}");
+    }
+}

@@ -384,7 +384,16 @@ fn a_warm_up_in_another_unit_is_refused() {
 #[test]
 fn sensors_of_a_warm_up_that_fail_are_told() {
     type Case<'a> = (&'a str, &'a dyn Fn(usize, f64) -> f64, i32, &'a str);
-    let cases: [Case<'_>; 6] = [
+    // Rows in an order of their own: each is the one that stands so many rows before or behind it.
+    let places = std::cell::RefCell::new(Vec::new());
+    warm_up("T02", &|_, value| {
+        places.borrow_mut().push(value);
+        value
+    });
+    let readings = places.into_inner();
+    let exchanged = |row: usize, _: f64| readings[(row * 67) % readings.len()];
+    let cases: [Case<'_>; 7] = [
+        ("T02", &exchanged, 0, "as no temperature does: are its rows exchanged?"),
         ("T02", &|_, _| 20.8, 1, "T02 reads 20.8 °C in all rows"),
         ("T02", &|row, value| if row == 90 { 0.0 } else { value }, 0, "T02 jumps here"),
         ("drift_z", &|row, value| if row > 100 { value - 20.0 } else { value }, 0, ":102: drift_z jumps here"),
@@ -397,6 +406,19 @@ fn sensors_of_a_warm_up_that_fail_are_told() {
         let told = in_one_line(&printed.stderr);
         assert!(told.contains(expected) && printed.status == status, "case {place}: {}", printed.stderr);
         assert_eq!(told.is_empty(), expected.is_empty(), "case {place}: {}", printed.stderr);
+    }
+}
+
+/// More harmonics than a turn has readings for, at angles that are nearly the same in every turn.
+#[test]
+fn harmonics_that_angles_hardly_tell_are_told() {
+    for (stage, harmonics, is_told) in [("reversal", 24, false), ("reversal", 63, false), ("reversal", 200, true)] {
+        let folder = temporary();
+        recipe("realistic").set(stage, "harmonics", json!(harmonics)).only(&[stage]).write(folder.path());
+        let printed = abbe(folder.path(), &["run", "recipe.yaml", "--out", "out"]);
+        let told = in_one_line(&printed.stderr);
+        let says = told.contains(&format!("hardly tell {harmonics} harmonics apart"));
+        assert_eq!((says, printed.status), (is_told, 0), "{stage} {harmonics}: {told}");
     }
 }
 

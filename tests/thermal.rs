@@ -129,6 +129,29 @@ fn drift_is_that_of_the_readings() {
     }
 }
 
+/// A part of the log in which the spindle stands, or nothing moves, is no warm-up.
+#[test]
+fn a_drift_that_is_judged_elsewhere_is_told() {
+    let recipe = || Variant::of(&recipes()["thermal-spindle"]).only(&["warm-up"]);
+    for (from, until, at_rest, beside) in [
+        (0.0, Some(22_200.0), false, false),
+        (0.0, None, false, false),
+        (700.0, Some(22_200.0), false, false),
+        (0.0, Some(222.0), true, true),
+        (0.0, Some(370.0), true, true),
+        (22_200.0, Some(22_300.0), true, true),
+    ] {
+        let mut recipe = recipe();
+        let drift = &mut recipe.stage("warm-up")["drift"];
+        drift["from_s"] = json!(from);
+        drift["until_s"] = json!(until);
+        let outcome = recipe.run();
+        let remarks = verdict(&outcome, "warm-up").remarks.join("\n");
+        assert_eq!(remarks.contains("the spindle stands in all rows that are judged"), at_rest, "{until:?}: {remarks}");
+        assert_eq!(remarks.contains("are `from_s` and `until_s` what is meant"), beside, "{until:?}: {remarks}");
+    }
+}
+
 /// Made by the first run, judged by another one on runs that it did not know.
 #[test]
 fn a_calibration_without_a_machine_is_recalled() {
@@ -382,6 +405,15 @@ fn wrong_runs_and_settings_have_one_clear_error() {
     let settings = "inputs: [T1, T2], outputs: [drift], time_constants: 2";
     let cases: Vec<(String, &str, &str)> = vec![
         (line(30, "600,20,20,20,1"), settings, "did the clock jump"),
+        (
+            (good.lines().take(1))
+                .chain(good.lines().skip(60))
+                .chain(good.lines().skip(1).take(59))
+                .map(|line| format!("{line}\n"))
+                .collect(),
+            "inputs: [T1, T2], outputs: [drift], time_constants: 2, reference_until_s: 600",
+            "the time falls from",
+        ),
         (
             good.lines()
                 .enumerate()

@@ -22,13 +22,17 @@ pub(crate) fn check_travel(set: &ObservationSet, model: &dyn KinematicModel) -> 
             for (axis, reach) in &limited {
                 let command = status[axis.status];
                 if let Some((message, help)) = beyond(axis, *reach, command) {
-                    return Err(layout.data.error_at(data_row, message).help(help));
+                    let of = if layout.data.averaged { OF_MEAN } else { "" };
+                    return Err(layout.data.error_at(data_row, message + of).help(help));
                 }
             }
         }
     }
     Ok(())
 }
+
+/// What is to be said of a row that is a mean: the one that is to blame may be another one of those.
+const OF_MEAN: &str = " in the mean of several rows (`average`), of which this is the first";
 
 /// Fails if data that a validator judges are beyond the travel of a machine that it judges.
 pub(crate) fn in_travel(fits: &[&Fit], data: &[&Dataset]) -> Result<()> {

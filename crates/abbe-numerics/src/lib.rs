@@ -102,6 +102,7 @@ pub use near::{solve_by_gradients, solve_near};
 pub use one_pass::{Chosen, Ends};
 pub use passes::{HuberPoint, InPasses, RobustPass, RowWeight, Weighing, huber_point, solve_in_passes};
 pub use regression::{Influence, SelectionStep, StepwiseDirection, StepwiseSelection};
+pub use repeated_channel::Repeats;
 pub use robust::{Loss, Robust, RobustReport, counted_scatter_factor, scatter_factor};
 pub use row_noise::{RowNoise, row_noise};
 pub use sampling::{Generator, mixed};

@@ -22,15 +22,18 @@ const PART: f64 = 0.5;
 /// Probability below which readings do not repeat by chance.
 const BY_CHANCE: f64 = 1e-5;
 
-/// From a row to the one that it repeats: so many rows before it, or so that both have this sum.
+/// From a row to an earlier one that it repeats: so many rows before it, or so that both have this sum.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Way {
+pub enum Repeats {
+    /// The same order.
     Forwards(usize),
+    /// The opposite order.
     Backwards(usize),
 }
 
-impl Way {
-    fn earlier(self, row: usize) -> Option<usize> {
+impl Repeats {
+    /// The row that this one repeats, if there is one.
+    pub fn earlier(self, row: usize) -> Option<usize> {
         match self {
             Self::Forwards(apart) => row.checked_sub(apart),
             Self::Backwards(sum) => sum.checked_sub(row).filter(|other| *other < row),
@@ -65,33 +68,33 @@ pub(crate) fn repeated(channels: &[Channel<'_>], place: usize, uncertainty: Opti
 }
 
 /// The ways by which windows of readings are earlier ones, those of most windows first.
-fn likely_ways(readings: &[f64]) -> Vec<Way> {
+fn likely_ways(readings: &[f64]) -> Vec<Repeats> {
     let digest = |window: &mut dyn Iterator<Item = &f64>| {
         let mut hasher = DefaultHasher::new();
         window.for_each(|reading| reading.to_bits().hash(&mut hasher));
         hasher.finish()
     };
-    let (mut known, mut ways): (BTreeMap<u64, usize>, BTreeMap<Way, usize>) = Default::default();
+    let (mut known, mut ways): (BTreeMap<u64, usize>, BTreeMap<Repeats, usize>) = Default::default();
     for (start, window) in readings.windows(WINDOW).enumerate() {
         if window.iter().map(|reading| reading.to_bits()).collect::<BTreeSet<_>>().len() < DISTINCT {
             continue;
         }
         let (own, reversed) = (digest(&mut window.iter()), digest(&mut window.iter().rev()));
         let earlier = |of: u64| known.get(&of).copied().filter(|place| place + WINDOW <= start);
-        let forwards = earlier(own).map(|place| Way::Forwards(start - place));
-        let backwards = earlier(reversed).map(|place| Way::Backwards(start + place + WINDOW - 1));
+        let forwards = earlier(own).map(|place| Repeats::Forwards(start - place));
+        let backwards = earlier(reversed).map(|place| Repeats::Backwards(start + place + WINDOW - 1));
         for way in [forwards, backwards].into_iter().flatten() {
             *ways.entry(way).or_default() += 1;
         }
         known.entry(own).or_insert(start);
     }
-    let mut ways: Vec<(Way, usize)> = ways.into_iter().collect();
+    let mut ways: Vec<(Repeats, usize)> = ways.into_iter().collect();
     ways.sort_by_key(|(_, windows)| usize::MAX - windows);
     ways.into_iter().take(WAYS).map(|(way, _)| way).collect()
 }
 
 /// The first row and the length of the longest stretch that repeats by a way.
-fn longest(readings: &[f64], way: Way) -> Option<(usize, usize)> {
+fn longest(readings: &[f64], way: Repeats) -> Option<(usize, usize)> {
     let is_same = |row: &usize| way.earlier(*row).is_some_and(|other| readings[other] == readings[*row]);
     let all: Vec<usize> = (0..readings.len()).collect();
     let stretches = all.chunk_by(|one, other| is_same(one) == is_same(other)).filter(|rows| is_same(&rows[0]));
@@ -99,7 +102,7 @@ fn longest(readings: &[f64], way: Way) -> Option<(usize, usize)> {
 }
 
 /// How far readings scatter between the rows of a stretch and those that it repeats, but for an offset: of one reading.
-fn apart(readings: &[f64], mut run: std::ops::Range<usize>, way: Way) -> f64 {
+fn apart(readings: &[f64], mut run: std::ops::Range<usize>, way: Repeats) -> f64 {
     let count = run.len() as f64;
     let apart = run.try_fold(Vec::new(), |mut all, row| {
         all.push(readings[row] - readings[way.earlier(row)?]);

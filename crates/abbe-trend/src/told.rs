@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use abbe_core::{Error, Figure, Findings, Limit, Result, Unit};
 use serde_json::json;
 
-use crate::analysis::{Analysis, Event, ParameterTrend, State};
+use crate::analysis::{Analysis, Event, ParameterTrend, Series, State};
 use crate::calibrations::History;
 use crate::change::{Change, Uncertain};
 
@@ -98,6 +98,40 @@ pub fn unit_factor(written: &str, unit: &str) -> Option<f64> {
     (written == people || written == ascii(&people)).then(|| 1.0 / factor)
 }
 
+/// First tests whose mean is held against a baseline.
+const FIRST: usize = 5;
+
+/// Standard uncertainties that this mean is off, and times the range of all tests, where it is told.
+const FAR: f64 = 10.0;
+const BEYOND: f64 = 5.0;
+
+/// A parameter that follows something, and is so far off its baseline from the first tests on that what it follows does not explain it. It is
+/// compared with its own line, and not with the baseline.
+fn beside_baseline(series: &Series) -> Option<String> {
+    let (target, regressor) = series.target.zip(series.regressor.as_ref().filter(|regressor| regressor.declared))?;
+    let values: Vec<&Uncertain> = series.values.iter().flatten().collect();
+    let first = &values[..values.len().min(FIRST)];
+    if first.is_empty() {
+        return None;
+    }
+    let mean = first.iter().map(|value| value.value).sum::<f64>() / first.len() as f64;
+    let (low, high) =
+        values.iter().fold((f64::MAX, f64::MIN), |(low, high), own| (low.min(own.value), high.max(own.value)));
+    let u = first.iter().fold(target.standard_uncertainty, |most, own| most.max(own.standard_uncertainty));
+    let off = mean - target.value;
+    let (unit, factor) = people(&series.unit);
+    (off.abs() > (FAR * u).max(BEYOND * (high - low))).then(|| {
+        format!(
+            "{} is {:+.3} {unit} off its baseline in the first tests, and all tests together have a range of {:.3} {unit}: what follows {} does \
+             not explain it. Are the readings of one of the two in another unit, or was the machine changed?",
+            series.name,
+            off * factor,
+            (high - low) * factor,
+            regressor.name
+        )
+    })
+}
+
 /// What happened, in words.
 pub fn sentences(history: &History, analysis: &Analysis) -> Vec<String> {
     let unit = &analysis.time_unit;
@@ -117,6 +151,7 @@ pub fn sentences(history: &History, analysis: &Analysis) -> Vec<String> {
         told.push(format!("{unit} {} has no test", analysis.missing.join(", ")));
     }
     told.extend(analysis.events.iter().map(|event| event_in_words(event, analysis)));
+    told.extend(history.series.iter().filter_map(beside_baseline));
     for parameter in &analysis.parameters {
         let label = |place: &usize| analysis.tests[parameter.tests[*place]].label.as_str();
         let alone = parameter.charts.unconfirmed();
@@ -331,4 +366,52 @@ fn tests(history: &History, analysis: &Analysis) -> String {
         );
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::analysis::{Regressor, Target};
+
+    /// Tests of a scale that follows a temperature from 15 to 25 degrees, with a baseline.
+    fn series(baseline: f64, declared: bool) -> Series {
+        let temperature = |test: usize| 20.0 + 5.0 * (test as f64 / 4.0).sin();
+        let value = |test: usize| Uncertain {
+            value: -50e-6 + 2.6e-6 * (temperature(test) - 20.0),
+            standard_uncertainty: 2.6e-6,
+        };
+        Series {
+            name: "EYY[1]".to_owned(),
+            unit: "mm/mm".to_owned(),
+            values: (0..40).map(|test| Some(value(test))).collect(),
+            shared: 0.0,
+            target: Some(Target { value: baseline, standard_uncertainty: 1e-6 }),
+            regressor: Some(Regressor {
+                name: "T01".to_owned(),
+                unit: "K".to_owned(),
+                reference: 20.0,
+                values: (0..40).map(|test| Some(temperature(test))).collect(),
+                declared,
+            }),
+            again: None,
+            derived: false,
+        }
+    }
+
+    #[test]
+    fn a_scale_that_follows_a_temperature_and_is_far_off_its_baseline_is_told() {
+        let told = beside_baseline(&series(450e-6, true)).expect("a sentence");
+        assert!(
+            told.starts_with("EYY[1] is -")
+                && told.contains("off its baseline")
+                && told.contains("what follows T01 does not explain it"),
+            "{told}"
+        );
+        // What the temperature explains, and what is compared with its baseline anyway.
+        for good in [series(-47e-6, true), series(-120e-6, true), series(20e-6, true), series(450e-6, false)] {
+            assert_eq!(beside_baseline(&good), None);
+        }
+        assert_eq!(beside_baseline(&Series { target: None, ..series(450e-6, true) }), None);
+        assert_eq!(beside_baseline(&Series { values: Vec::new(), ..series(450e-6, true) }), None);
+    }
 }

@@ -332,12 +332,34 @@ impl Acceptance for Circular {
     fn findings(&self, data: &[&Dataset]) -> Result<Findings> {
         let mut findings = Findings::default();
         data.iter().try_for_each(|data| self.judge(data, &mut findings))?;
+        let range = |data: &&Dataset| -> Result<(String, f64)> {
+            let [_, readings] = self.samples(data)?;
+            let ends = readings.iter().fold((f64::MAX, f64::MIN), |(low, high), own| (low.min(*own), high.max(*own)));
+            Ok((run_name(data), 1e3 * (ends.1 - ends.0)))
+        };
+        findings.remarks.extend(far_smaller(&data.iter().map(range).collect::<Result<Vec<_>>>()?));
         findings.remarks.push(format!(
             "{EDITION} (its text was not at hand). A choice of this project: D, F and H count from the least squares circle of both \
              directions. G = smallest zone, `_lsc` = range about the least squares circle: both are in use"
         ));
         Ok(findings)
     }
+}
+
+/// How much further the readings of all other runs range from where on a run is asked about: feeds and planes differ, and by less than inches.
+const FAR_SMALLER: f64 = 15.0;
+
+/// A sentence on the run whose readings range over far less, um, than those of all others.
+fn far_smaller(runs: &[(String, f64)]) -> Option<String> {
+    let mut sorted: Vec<&(String, f64)> = runs.iter().collect();
+    sorted.sort_by(|(_, one), (_, other)| one.total_cmp(other));
+    let [(run, smallest), (_, next), ..] = sorted.as_slice() else { return None };
+    (*next > FAR_SMALLER * smallest).then(|| {
+        format!(
+            "{run}: the readings range over {smallest:.2} um, and those of all other runs over {next:.1} um or more: is one of them in \
+             another unit?"
+        )
+    })
 }
 
 /// Angles that no circle has.
@@ -471,6 +493,23 @@ mod tests {
             }
             let (said, is_decided) = judged(150.0, &stretched);
             assert!(!is_decided && said.contains("off those of `angle`"), "{plane:?}: {said}");
+        }
+    }
+
+    #[test]
+    fn a_run_in_another_unit_beside_others_is_asked_about() {
+        let runs = |ranges: &[f64]| {
+            let named = ranges.iter().enumerate().map(|(number, range)| (format!("f{number}"), *range));
+            named.collect::<Vec<_>>()
+        };
+        let told = far_smaller(&runs(&[45.0, 1.8, 40.0])).expect("a sentence");
+        assert!(
+            told.starts_with("f1: the readings range over 1.80 um, and those of all other runs over 40.0 um"),
+            "{told}"
+        );
+        assert!(far_smaller(&runs(&[45.0, 0.045])).is_some());
+        for good in [&[45.0, 3.1][..], &[45.0, 1.8, 1.8], &[1.8], &[]] {
+            assert_eq!(far_smaller(&runs(good)), None, "{good:?}");
         }
     }
 

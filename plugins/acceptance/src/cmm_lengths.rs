@@ -238,7 +238,9 @@ impl Lengths {
         if let Some(foreign) = repeats.iter().find(|value| !sets.iter().any(|set| set.holds(value))) {
             let Measured { line, reference, .. } = foreign;
             let message = format!("the repeats have line {line} at {reference} mm, which {run} has not");
-            return Err(Error::data(message).setting("from"));
+            let help = "are the lengths of one of the two files in another unit, or is `reference_mm` exchanged with `measured_mm` there?";
+            let error = Error::data(message).help(help);
+            return Err(data.files.iter().fold(error, |error, file| error.in_file(file)));
         }
         let errors: Vec<f64> = all.iter().map(Measured::error).collect();
         let same = unmeasured(&[&errors]).map(|same| format!("{run}: {same}"));

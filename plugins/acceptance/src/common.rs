@@ -7,7 +7,7 @@ use abbe_core::{
     DataRow, Dataset, Error, Figure, Findings, Fit, LabelText, Limit, PathItem, Quantity, Result, SettingsError,
     Validate,
 };
-use abbe_numerics::{Channel, instrument_faults, repeats_are_copies};
+use abbe_numerics::{Channel, Repeats, instrument_faults, repeats_are_copies};
 
 use crate::reading_units::limits_in_another_unit;
 
@@ -166,23 +166,6 @@ const DISTINCT: usize = 5;
 /// Part of the readings that has to be copied to be told: a coarse instrument reads the same now and then.
 const COPIED: f64 = 0.2;
 
-/// How a reading lies to the one that it repeats: so many rows after it, or so that both rows have this sum.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Way {
-    Forwards(usize),
-    Backwards(usize),
-}
-
-impl Way {
-    /// The row before that this one repeats, if there is one.
-    fn repeated_by(self, row: usize) -> Option<usize> {
-        match self {
-            Self::Forwards(apart) => row.checked_sub(apart),
-            Self::Backwards(sum) => sum.checked_sub(row).filter(|other| *other < row),
-        }
-    }
-}
-
 /// Fewest rows of a run that is another one, and the part of them that are the same: of a machine that repeats within a twentieth of its
 /// digits, nine of ten are.
 const RUN: usize = 100;
@@ -197,7 +180,7 @@ const COARSE: f64 = 30.0;
 
 /// Whether readings repeat because their digits are coarser than the machine scatters: then others, too, are within a digit of the
 /// readings that lie to them as the repeated ones do. Of a copy they are not. Where nearly all repeat, few digits in their range tell.
-fn digits_explain(columns: &[&[f64]], copied: &BTreeSet<usize>, ways: &BTreeSet<Way>) -> bool {
+fn digits_explain(columns: &[&[f64]], copied: &BTreeSet<usize>, ways: &BTreeSet<Repeats>) -> bool {
     let digits: Vec<(f64, f64)> = columns.iter().map(|column| digit_and_range(column)).collect();
     let within = |row: usize, other: usize| {
         let mut all = columns.iter().zip(&digits);
@@ -207,7 +190,7 @@ fn digits_explain(columns: &[&[f64]], copied: &BTreeSet<usize>, ways: &BTreeSet<
     let (mut near, mut others) = (0_usize, 0_usize);
     for way in ways {
         for row in (0..rows).filter(|row| !copied.contains(row)) {
-            if let Some(other) = way.repeated_by(row) {
+            if let Some(other) = way.earlier(row) {
                 others += 1;
                 near += usize::from(within(row, other));
             }
@@ -244,7 +227,7 @@ pub fn doubted(run: &str, columns: &[&[f64]]) -> Option<String> {
     let readings: Vec<Vec<u64>> = (0..rows).map(row).collect();
     let mut first: BTreeMap<Vec<&Vec<u64>>, usize> = BTreeMap::new();
     let mut copied: BTreeSet<usize> = BTreeSet::new();
-    let mut ways: BTreeSet<Way> = BTreeSet::new();
+    let mut ways: BTreeSet<Repeats> = BTreeSet::new();
     for start in 0..(rows + 1).saturating_sub(IN_TURN) {
         let stretch: Vec<&Vec<u64>> = readings[start..start + IN_TURN].iter().collect();
         // Coarse digits repeat in a slow motion.
@@ -253,8 +236,9 @@ pub fn doubted(run: &str, columns: &[&[f64]]) -> Option<String> {
         }
         let reversed: Vec<&Vec<u64>> = stretch.iter().rev().copied().collect();
         let earlier = |of: &Vec<&Vec<u64>>| first.get(of).copied().filter(|place| place + IN_TURN <= start);
-        let found = earlier(&stretch).map(|place| Way::Forwards(start - place));
-        if let Some(way) = found.or_else(|| earlier(&reversed).map(|place| Way::Backwards(start + place + IN_TURN - 1)))
+        let found = earlier(&stretch).map(|place| Repeats::Forwards(start - place));
+        if let Some(way) =
+            found.or_else(|| earlier(&reversed).map(|place| Repeats::Backwards(start + place + IN_TURN - 1)))
         {
             copied.extend(start..start + IN_TURN);
             ways.insert(way);
@@ -262,8 +246,8 @@ pub fn doubted(run: &str, columns: &[&[f64]]) -> Option<String> {
         first.entry(stretch).or_insert(start);
     }
     // Digits that repeat by chance elsewhere explain no long run that is another one, row for row.
-    let is_run = |way: &Way| {
-        let same = (0..rows).filter_map(|row| Some(readings[row] == readings[way.repeated_by(row)?]));
+    let is_run = |way: &Repeats| {
+        let same = (0..rows).filter_map(|row| Some(readings[row] == readings[way.earlier(row)?]));
         let (all, same) = same.fold((0, 0), |(all, same), is_same| (all + 1, same + usize::from(is_same)));
         all >= RUN && same as f64 >= WHOLE * all as f64
     };

@@ -28,6 +28,24 @@ pub fn tell_silent(run: &Run, (sensor, name): (Sensor, &str), ends: &Ends, uncer
     }
 }
 
+/// Condition above which angles hardly tell harmonics apart.
+const HARDLY_APART: f64 = 10.0;
+
+/// Tells of more harmonics than a turn has readings for, where the angles of many turns hardly tell them apart: order K looks nearly like
+/// order n - K of n readings a turn.
+pub fn tell_aliased(run: &Run, highest: usize, condition: f64) {
+    let readings = run.count as f64 / run.turns;
+    if (2 * highest + 1) as f64 > readings && condition > HARDLY_APART {
+        tracing::warn!(
+            "run `{}`: {readings:.0} readings a turn hardly tell {highest} harmonics apart (condition {condition:.0}): order K looks nearly \
+             like order {readings:.0} - K. Their uncertainties come from the scatter of single turns, and are too small then: `harmonics` of \
+             {:.0} at most",
+            run.label,
+            ((readings - 1.0) / 2.0).floor()
+        );
+    }
+}
+
 /// What is wrong with a range of readings, mm.
 fn silent(sensor: Sensor, range: f64, uncertainty: f64) -> Option<String> {
     let (of_noise, words) = match sensor {

@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::doubts::{Sensor, tell_coarse, tell_copied, tell_silent, tell_turned, tell_unlike};
+use crate::doubts::{Sensor, tell_aliased, tell_coarse, tell_copied, tell_silent, tell_turned, tell_unlike};
 use crate::encoder::Encoder;
 use crate::evaluated::{Evaluated, Fits, evaluate};
 use crate::harmonics::Basis;
@@ -352,6 +352,7 @@ impl Estimate for Motion {
             found.add(&combined, &fitted.values.concat(), &fitted.covariance, freedom);
             self.check_sense(&run, &found, &called)?;
             self.tell_doubts(&run, &left);
+            tell_aliased(&run, usize::from(self.harmonics), fitted.condition);
             for (direction, largest) in self.asynchronous(&run, &left)? {
                 found.fixed(format!("run[{called}].async.{direction}"), largest, "mm");
                 asynchronous.entry(direction).or_default().push((called.clone(), largest));

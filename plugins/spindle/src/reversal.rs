@@ -9,6 +9,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use crate::doubts::tell_aliased;
 use crate::encoder::Encoder;
 use crate::evaluated::{Evaluated, Fits, evaluate};
 use crate::harmonics::Basis;
@@ -255,6 +256,7 @@ impl Estimate for Reversal {
         for (setup, Evaluated { run, fitted }) in evaluated.into_iter().enumerate() {
             let (fitted, left) = fitted?;
             scatter[setup] = left.squares[0];
+            tell_aliased(&run, usize::from(self.harmonics), fitted.condition);
             runs.push(run);
             both.push(fitted);
         }

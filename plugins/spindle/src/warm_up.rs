@@ -290,6 +290,23 @@ fn tell_jump(data: &Dataset, name: &str, readings: &[f64], times: &[f64]) {
     }
 }
 
+/// Scatter of a temperature, K, that is no noise, and the part of twice its variance that squares of its steps have on the average where
+/// its rows are in no order (von Neumann 1941): of rows in their order they have far less.
+const NO_NOISE: f64 = 1.0;
+const IN_NO_ORDER: f64 = 0.5;
+const FEWEST_ROWS: usize = 10;
+
+/// The usual step of a temperature whose rows are in no order, K; none for others.
+fn goes_up_and_down(readings: &[f64]) -> Option<f64> {
+    let rows = readings.len() as f64;
+    let mean = readings.iter().sum::<f64>() / rows;
+    let variance = readings.iter().map(|reading| (reading - mean).powi(2)).sum::<f64>() / rows;
+    let steps = readings.windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).sum::<f64>() / (rows - 1.0);
+    let is_told =
+        readings.len() >= FEWEST_ROWS && variance > NO_NOISE * NO_NOISE && steps > IN_NO_ORDER * 2.0 * variance;
+    is_told.then(|| steps.sqrt())
+}
+
 /// Tells of times without readings.
 fn tell_gap(data: &Dataset, times: &[f64]) {
     let (steps, usual) = steps(times);
@@ -361,6 +378,14 @@ impl Estimate for WarmUp {
         }
         for name in self.drift.iter().chain(&self.temperatures) {
             tell_jump(data, name, data.required_numbers(name)?, times);
+        }
+        for name in &self.temperatures {
+            let readings = data.required_numbers(name)?;
+            if let Some(step) = goes_up_and_down(readings) {
+                tracing::warn!(
+                    "{name} goes up and down by {step:.1} K from row to row, as no temperature does: are its rows exchanged?"
+                );
+            }
         }
         tell_gap(data, times);
         let drifts = self.drift.iter().map(|name| Ok((name.as_str(), data.required_numbers(name)?)));

@@ -148,6 +148,7 @@ impl DriftSettings {
             findings.figures.extend(self.figures(times, &readings, run));
         }
         let doubts = exchanged(data).or_else(|| self.other_unit(data));
+        let doubts = doubts.into_iter().chain(at_rest(data, rows.clone())).chain(self.beside(data, rows.clone())?);
         findings.remarks.extend(doubts.map(|doubt| format!("{run}: {doubt}")));
         self.environment(data, rows, run, findings)
     }
@@ -158,6 +159,30 @@ impl DriftSettings {
         let lengths: Vec<(&str, &[f64])> =
             names.filter_map(|name| Some((name.as_str(), data.numbers(name)?))).collect();
         in_another_unit(&lengths, &temperatures(data))
+    }
+
+    /// The reading with a limit that moves far more in the whole log than in the rows that are judged.
+    fn beside(&self, data: &Dataset, rows: std::ops::Range<usize>) -> Result<Option<String>> {
+        if self.limits.is_empty() || rows.len() == data.rows() {
+            return Ok(None);
+        }
+        let range = |values: &[f64]| {
+            let ends =
+                values.iter().fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(*value), high.max(*value)));
+            ends.1 - ends.0
+        };
+        let (judged, whole) = (self.all(data, rows)?, self.all(data, 0..data.rows())?);
+        let pairs =
+            judged.iter().zip(&whole).map(|(judged, whole)| (whole, range(&judged.values), range(&whole.values)));
+        let far = pairs.filter(|(_, judged, whole)| *whole > FAR_MORE * judged);
+        let most = far.max_by(|(_, one, all), (_, other, of_all)| (all / one).total_cmp(&(of_all / other)));
+        Ok(most.map(|(Readings { name, unit, .. }, judged, whole)| {
+            let unit = if *unit == "um" { "µm" } else { "µrad" };
+            format!(
+                "{name} has a range of {judged:.1} {unit} in the rows that are judged, and of {whole:.0} {unit} in the whole log: are `from_s` \
+                 and `until_s` what is meant, in seconds?"
+            )
+        }))
     }
 
     /// All readings and angles of the judged rows.
@@ -257,6 +282,18 @@ impl DriftSettings {
         }
         Ok(())
     }
+}
+
+/// How many times as far a reading moves in the whole log as in the rows that are judged, from where on it is told.
+const FAR_MORE: f64 = 10.0;
+
+/// A spindle that turns in some rows, and in none of those that are judged.
+fn at_rest(data: &Dataset, rows: std::ops::Range<usize>) -> Option<String> {
+    let speeds = data.numbers("speed")?;
+    let turns = |speeds: &[f64]| speeds.iter().any(|speed| *speed != 0.0);
+    (turns(speeds) && !turns(&speeds[rows])).then(|| {
+        "the spindle stands in all rows that are judged, and turns in others (column `speed`): a machine at rest is judged".to_owned()
+    })
 }
 
 /// An error about the columns of a data set.

@@ -1,6 +1,8 @@
 //! Which columns of a run drive states, which follow, and how both are counted.
 
-use abbe_core::{ColumnHeader, Dataset, Error, PathItem, Quantity, Result, SettingsError, Unit, matches, positive};
+use abbe_core::{
+    ColumnHeader, DataRow, Dataset, Error, PathItem, Quantity, Result, SettingsError, Unit, matches, positive,
+};
 use abbe_thermal::{
     Bootstrap, Counting, Hold, Readings, Reference, SensorLog, Structure, not_copied, possible_temperature,
 };
@@ -244,6 +246,10 @@ impl Settings {
         let times = data.required_numbers(TIME)?;
         let begin = times.first().copied().unwrap_or_default();
         let end = times.last().copied().unwrap_or_default();
+        if let Some(row) = (1..times.len()).find(|row| times[*row] < times[row - 1]).filter(|_| end < begin) {
+            let message = format!("the time falls from {} s to {} s", times[row - 1], times[row]);
+            return Err(data.error_at(DataRow(row), message).help("put the rows of the log into their order"));
+        }
         if let Some(until) = self.reference_until_s.filter(|until| *until >= end - begin) {
             let message =
                 format!("{until} s: the log is {} s long, and columns count from its first seconds", end - begin);
