@@ -461,7 +461,10 @@ fn chosen_rows(fit: &Fit, batches: &InBatches<'_>, monitor: &Monitor) -> Result<
     match batches.sampled(fit, monitor) {
         Err(error) if error.class == Class::Interrupted => Err(error),
         Err(error) => {
-            tracing::warn!("{}: there is no table of residuals: {error}", fit.name);
+            tracing::warn!(
+                "{}: its rows cannot be read again, so that no errors are held against their travel, and there is no table of residuals: {error}",
+                fit.name
+            );
             Ok(None)
         }
         chosen => chosen,

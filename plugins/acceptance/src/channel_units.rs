@@ -48,7 +48,8 @@ pub fn other_unit(columns: &[(&str, &[f64])], standard_uncertainty: f64, unit: &
     })
 }
 
-fn range(readings: &[f64]) -> f64 {
+/// Largest less smallest reading.
+pub fn range(readings: &[f64]) -> f64 {
     let ends = readings.iter().fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(*value), high.max(*value)));
     (ends.1 - ends.0).max(0.0)
 }

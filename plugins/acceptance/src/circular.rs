@@ -13,6 +13,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::both_directions::{place_of_angle, smaller_direction};
+use crate::channel_units::range;
 use crate::circle_positions::{beside_any_plane, contradicted};
 use crate::common::{
     Acceptance, Judge, Key, Limits, MOST_STEPS, Sheet, against, check_limits, directions, doubted, faults, finite,
@@ -332,12 +333,11 @@ impl Acceptance for Circular {
     fn findings(&self, data: &[&Dataset]) -> Result<Findings> {
         let mut findings = Findings::default();
         data.iter().try_for_each(|data| self.judge(data, &mut findings))?;
-        let range = |data: &&Dataset| -> Result<(String, f64)> {
+        let of_run = |data: &&Dataset| -> Result<(String, f64)> {
             let [_, readings] = self.samples(data)?;
-            let ends = readings.iter().fold((f64::MAX, f64::MIN), |(low, high), own| (low.min(*own), high.max(*own)));
-            Ok((run_name(data), 1e3 * (ends.1 - ends.0)))
+            Ok((run_name(data), 1e3 * range(&readings)))
         };
-        findings.remarks.extend(far_smaller(&data.iter().map(range).collect::<Result<Vec<_>>>()?));
+        findings.remarks.extend(far_smaller(&data.iter().map(of_run).collect::<Result<Vec<_>>>()?));
         findings.remarks.push(format!(
             "{EDITION} (its text was not at hand). A choice of this project: D, F and H count from the least squares circle of both \
              directions. G = smallest zone, `_lsc` = range about the least squares circle: both are in use"

@@ -166,14 +166,11 @@ impl DriftSettings {
         if self.limits.is_empty() || rows.len() == data.rows() {
             return Ok(None);
         }
-        let range = |values: &[f64]| {
-            let ends =
-                values.iter().fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(*value), high.max(*value)));
-            ends.1 - ends.0
-        };
-        let (judged, whole) = (self.all(data, rows)?, self.all(data, 0..data.rows())?);
-        let pairs =
-            judged.iter().zip(&whole).map(|(judged, whole)| (whole, range(&judged.values), range(&whole.values)));
+        let times = data.required_numbers(TIME)?;
+        let (judged, whole) = (self.all(data, rows.clone())?, self.all(data, 0..data.rows())?);
+        let pairs = judged.iter().zip(&whole).map(|(judged, whole)| {
+            (whole, whole_range(&times[rows.clone()], &judged.values), whole_range(times, &whole.values))
+        });
         let far = pairs.filter(|(_, judged, whole)| *whole > FAR_MORE * judged);
         let most = far.max_by(|(_, one, all), (_, other, of_all)| (all / one).total_cmp(&(of_all / other)));
         Ok(most.map(|(Readings { name, unit, .. }, judged, whole)| {
@@ -267,14 +264,14 @@ impl DriftSettings {
             }
             let times = &data.required_numbers(TIME)?[rows.clone()];
             let values = &data.required_numbers(name)?[rows.clone()];
-            let found = range(times, values, times[0], times[times.len() - 1]).unwrap_or_default();
+            let found = whole_range(times, values);
             let figure = Figure::new("", format!("range[{name}, {run}]"), found, "K");
             findings.figures.push(Figure { of: None, ..figure });
             if index > 0 || found == 0.0 {
                 continue;
             }
             for readings in self.all(data, rows.clone())? {
-                let spread = range(times, &readings.values, times[0], times[times.len() - 1]).unwrap_or_default();
+                let spread = whole_range(times, &readings.values);
                 let label = format!("range by kelvin of {name}[{}, {run}]", readings.name);
                 let figure = Figure::new("", label, spread / found, &format!("{}/K", readings.unit)).detail();
                 findings.figures.push(Figure { of: None, ..figure });
@@ -282,6 +279,11 @@ impl DriftSettings {
         }
         Ok(())
     }
+}
+
+/// The range of all readings at these times.
+fn whole_range(times: &[f64], values: &[f64]) -> f64 {
+    range(times, values, times[0], times[times.len() - 1]).unwrap_or_default()
 }
 
 /// How many times as far a reading moves in the whole log as in the rows that are judged, from where on it is told.

@@ -238,7 +238,7 @@ struct FeatureKind {
 
 const KINDS: [FeatureKind; 4] = [
     FeatureKind { word: "POINT", name: "point", numbers: &[3, 6], diameter: None },
-    FeatureKind { word: "SPHERE", name: "sphere", numbers: &[4, 7], diameter: Some(3) },
+    FeatureKind { word: "SPHERE", name: "sphere", numbers: &[4], diameter: Some(3) },
     FeatureKind { word: "CIRCLE", name: "circle", numbers: &[4, 7], diameter: Some(6) },
     FeatureKind { word: "CYLNDR", name: "cylinder", numbers: &[4, 7, 8], diameter: Some(6) },
 ];
